@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, Look, log
+from npred.figures.figure import Figure, LegendEntry, Panel, write
+from npred.figures.style import MEDIA, LineStyle, log
 
 SIZES = (10_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)
 SHARE = 200  # samples a rollout
@@ -107,7 +107,7 @@ def line(costs: list[Cost]) -> tuple[float, float, float]:
 
 def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
     """Write scale.svg and scale.png: processor time a sample with the straight lines, and memory, against N."""
-    looks = {command: Look(role, marker="o") for command, role in zip(COMMANDS, ("blue", "orange"), strict=True)}
+    looks = {command: LineStyle(role, marker="o") for command, role in zip(COMMANDS, ("blue", "orange"), strict=True)}
 
     def times(axis: Any) -> None:
         for command, row in costs.items():
@@ -132,9 +132,9 @@ def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
         ),
         Panel("Memory of all processes, GiB", "Gibibytes against samples.", memory),
     )
-    keys = tuple(Key(COMMANDS[command], look) for command, look in looks.items())
+    keys = tuple(LegendEntry(COMMANDS[command], look) for command, look in looks.items())
     style = MEDIA["page"]
-    write(Plate("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
+    write(Figure("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
 
 
 def main() -> None:

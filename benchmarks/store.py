@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 from npred.cli import app
 from npred.errors import NpredError
-from npred.figures.figure import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, Look, log
+from npred.figures.figure import Figure, LegendEntry, Panel, write
+from npred.figures.style import MEDIA, LineStyle, log
 from npred.store import Question, Store
 from npred.terminal.console import columns
 
@@ -99,7 +99,7 @@ def slope(sizes: list[int], times: list[float]) -> float:
 def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     """store.svg and store.png."""
 
-    looks = [Look(role, marker="o") for role in ROLE]
+    looks = [LineStyle(role, marker="o") for role in ROLE]
 
     def lines(axis: Any) -> None:
         for look, seconds in zip(looks, times.values(), strict=True):
@@ -112,8 +112,8 @@ def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     )
     caption = "What the store's operations cost with ever more results in it."
     labels = [f"{name}: {slope(sizes, seconds):.2f}" for name, seconds in times.items()]
-    keys = tuple(map(Key, labels, looks))
-    write(Plate("store", "The store", caption, (panel,), keys), folder, MEDIA["page"])
+    keys = tuple(map(LegendEntry, labels, looks))
+    write(Figure("store", "The store", caption, (panel,), keys), folder, MEDIA["page"])
 
 
 def main() -> None:

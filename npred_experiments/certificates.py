@@ -18,7 +18,7 @@ from npred.errors import required
 from npred.plants import Plant
 from npred.predictors import Predictor
 from npred.predictors.guarded import Guarded
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.stages.certify import rollouts
 from npred.stages.certify.rollouts import Calls, Rollouts
 from npred.stages.job import Job
@@ -39,8 +39,8 @@ def check(plant: Plant) -> None:
 
 
 def certify(
-    job: Job, guards: Mapping[Contender, Guarded], exact: Predictor, fresh: Mapping[Contender, Rollouts]
-) -> dict[Contender, dict[str, Any]]:
+    job: Job, guards: Mapping[PredictorId, Guarded], exact: Predictor, fresh: Mapping[PredictorId, Rollouts]
+) -> dict[PredictorId, dict[str, Any]]:
     """Fields of each network's certificate. Writes worst.h5."""
     data = shards.survey(job.inputs["generate"] / "data.h5")
     with job.threads() as pool:
@@ -55,7 +55,7 @@ def certify(
     return rows
 
 
-def write_worst(path: Path, calls: Mapping[Contender, tuple[Calls, np.ndarray]]) -> None:
+def write_worst(path: Path, calls: Mapping[PredictorId, tuple[Calls, np.ndarray]]) -> None:
     """Write X, u, D_hat, t and the error of the KEPT worst calls, by network."""
     with h5py.File(path, "w") as file:
         for contender, (inputs, errors) in calls.items():

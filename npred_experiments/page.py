@@ -5,8 +5,8 @@ from importlib.resources import files
 from statistics import median
 from typing import Any, NamedTuple
 
-from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import Look, log, short
+from npred.figures.figure import Figure, LegendEntry, Panel
+from npred.figures.style import LineStyle, log, short
 from npred.figures.table import Column, Table
 from npred.registry import NETWORKS
 from npred_experiments.experiment import CORRECTED, NUMERICAL, Reproduced, ReproducedRow, load
@@ -19,7 +19,10 @@ ABOUT = (
     "published kinds."
 )
 LEFT_OUT = "A table without `predictor` is of the numerical one; without `published`, the source prints no number."
-LOOKS = {"published": Look("crimson", width=0, marker="X"), "npred's network": Look("blue", width=0, marker="o")}
+LINES = {
+    "published": LineStyle("crimson", width=0, marker="X"),
+    "npred's network": LineStyle("blue", width=0, marker="o"),
+}
 LEAST = 1e-7  # a distance that is shown
 
 
@@ -50,17 +53,16 @@ class Excess(NamedTuple):
 
 def page(results: Sequence[Reproduced]) -> str:
     """The page as HTML that needs nothing else; the same results give the same bytes."""
-    from npred.figures import svg
     from npred.stages.report import html_page
 
-    plates = [plate for plate in [_excesses_drawn(excesses(results))] if plate]
+    figure = _excesses_drawn(excesses(results))
     names = [result.name for result in results]
     return html_page.filled(
         (files("npred_experiments") / "page.html").read_text(encoding="utf-8"),
         name=TITLE,
         about=ABOUT,
         said=summary(results),
-        plates=[(p, [svg.inline(panel, f"{p.name}-{k}") for k, panel in enumerate(p.panels)]) for p in plates],
+        figures=[figure] if figure else [],
         chapters=[_chapter(result) for result in results],
         facts={"Experiments": {name: load(name).source for name in names}},
         names="".join(f" {name}" for name in names),
@@ -73,9 +75,7 @@ def markdown(results: Sequence[Reproduced]) -> str:
     for result in results:
         lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {load(result.name).source}.", ""]
         columns = [column for column in _rows(result).columns if {*map(column.text, column.values)} - {NUMERICAL, "–"}]
-        rows = zip(*([column.head, *map(column.text, column.values)] for column in columns), strict=True)
-        head, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-        lines += [head, "".join("|---:" if column.numeric else "|---" for column in columns) + "|", *others, ""]
+        lines += [Table(result.name, "", columns).markdown(), ""]
     return "\n".join(lines)
 
 
@@ -121,7 +121,7 @@ def _excesses(result: Reproduced) -> Iterator[Excess]:
         yield Excess(result.name, row.metric, row.predictor, abs(row.published - printed) / scale, measured)
 
 
-def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
+def _excesses_drawn(rows: Sequence[Excess]) -> Figure | None:
     """One panel per experiment: published and measured distances from the numerical row."""
     names = list(dict.fromkeys(row.experiment for row in rows if row.measured is not None))
     panels = tuple(_panel(name, [row for row in rows if row.experiment == name]) for name in names)
@@ -129,8 +129,8 @@ def _excesses_drawn(rows: Sequence[Excess]) -> Plate | None:
         "Distance of a network's row from the numerical predictor's, as a share of it (an error itself, where the "
         "numerical one is zero), in the published loop."
     )
-    keys = tuple(Key(label, look) for label, look in LOOKS.items())
-    return Plate("excess", "Networks and the numerical predictor", caption, panels, keys) if panels else None
+    legend = [LegendEntry(label, style) for label, style in LINES.items()]
+    return Figure("excess", "Networks and the numerical predictor", caption, panels, legend) if panels else None
 
 
 def _panel(name: str, rows: Sequence[Excess]) -> Panel:
@@ -138,11 +138,11 @@ def _panel(name: str, rows: Sequence[Excess]) -> Panel:
 
     def draw(axis: Any) -> None:
         places = range(len(rows))
-        for values, look in zip(
-            zip(*((r.published, r.measured) for r in rows), strict=True), LOOKS.values(), strict=True
+        for values, style in zip(
+            zip(*((r.published, r.measured) for r in rows), strict=True), LINES.values(), strict=True
         ):
             shown = [float("nan") if value is None else max(value, LEAST) for value in values]
-            axis.plot(shown, places, linestyle="none", marker=look.marker, color=look.colour)
+            axis.plot(shown, places, linestyle="none", marker=style.marker, color=style.colour)
         log(axis, "x")
         axis.set(yticks=list(places), yticklabels=labels, ylim=(len(rows) - 0.5, -0.5))
 

@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.notation import quantity, timed
-from npred.figures.style import ROLES, Axes, Look
+from npred.figures.style import ROLES, Axes, LineStyle
 from npred.plants import Plant
 
-ESTIMATE, STAMPS = Look("blue"), Look("ink", (4, 2))
+ESTIMATE, STAMPS = LineStyle("blue"), LineStyle("ink", (4, 2))
 
 
-def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any]) -> Plate:
+def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any]) -> Figure:
     """The figure of that name; columns of a log by their names, of its calls and of its samples."""
     order, t = np.argsort(samples["t"]), calls["t"]
     taken = samples["t"][order]
@@ -38,8 +38,8 @@ def rig(plant: Plant, name: str, calls: dict[str, Any], samples: dict[str, Any])
     alt = f"In the middle {np.median(age):.3g}, at most {age.max():.3g}."
     panels.append(Panel(timed(plant, "age of the sample"), alt, partial(_line, plant, t, age)))
     caption = "A loop on a real clock: the samples that arrived, the commands, D̂ and the delay that the stamps say."
-    keys = (Key("D̂ of the controller", ESTIMATE), Key("delay by the stamps, its mean so far", STAMPS))
-    return Plate(name, "The rig", caption, tuple(panels), keys)
+    keys = (LegendEntry("D̂ of the controller", ESTIMATE), LegendEntry("delay by the stamps, its mean so far", STAMPS))
+    return Figure(name, "The rig", caption, tuple(panels), keys)
 
 
 def _line(plant: Plant, t: np.ndarray, values: np.ndarray, axis: Axes) -> None:

@@ -42,7 +42,7 @@ COMMANDS = {  # what is written after npred, and the name that was meant
     "plants check tank.py:tank": "Tank",
     "train smoke --modell fno": "model",
     "train smoke --model fnoo": "fno",
-    "report smoke --figures slide": "slides",
+    "report smoke --figures pages": "page",
     "export contrller smoke:rk4": "controller",
     "export controller paper --predictor heun --precision dubble": "double",
     "export fmu paper --predictor heun --platforms linux46": "linux64",

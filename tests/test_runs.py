@@ -16,7 +16,7 @@ import npred
 from npred import runs
 from npred.errors import ConfigError
 from npred.pipeline import Planner, nodes
-from npred.results import Contender, Evaluated
+from npred.results import Evaluated, PredictorId
 from npred.stages.report import toml_text
 from npred.store import Store
 
@@ -84,7 +84,7 @@ def test_stages_from_python_are_those_of_the_command_line(small: Path, capsys: p
     assert (data.action, trained.action, found.action) == ("run", "run", "run")
     assert data.data.X.shape == (data.result.samples, 2)
     assert trained.network([0.03, 30.0], np.zeros((21, 1)), 1.0).shape == (21, 2)
-    assert Contender("deeponet", None) in found.result.models
+    assert PredictorId("deeponet", None) in found.result.models
     made = runs.resolved(small)
     steps = Planner(made, Store(store), "cpu").plan(nodes(made, ["evaluate"]))
     assert [step.key for step in steps] == [data.key, trained.key, found.key]

@@ -18,7 +18,7 @@ from npred.exports import FORMATS
 from npred.registry import COMMANDS, STAGES, declared_stage
 from npred.terminal.console import Console
 
-MEDIA = ("ieee1", "ieee2", "page", "slides")
+MEDIA = ("ieee1", "ieee2", "page")
 RESULT = argument("STAGE/KEY", "A result, as for show.")
 
 

@@ -52,7 +52,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
         return
     from npred import plants
     from npred.figures.style import MEDIA
-    from npred.stages.report.report_data import Story
+    from npred.stages.report.report_data import PipelineResults
 
     if medium not in MEDIA:
         raise ConfigError(unlisted("--figures", medium, MEDIA))
@@ -60,9 +60,9 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
-    story = Story.read(options.config, plant, folders)
+    results = PipelineResults.read(options.config, plant, folders)
     with room_on_disk(folder):
-        files = write_figures(story, folder, MEDIA[medium])
+        files = write_figures(results, folder, MEDIA[medium])
         if output is None:
             sign(options, folder)
     document = {"folder": str(folder), "files": [file.name for file in files]}
@@ -147,9 +147,9 @@ def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
     """The summary of a whole run: the report's sentences, and a table of the predictors."""
     from npred.stages.bench import timing_tables
-    from npred.stages.evaluate import summary_tables
+    from npred.stages.report import tables
 
     folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
     times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
-    table = summary_tables.table(Evaluated.read(folders["evaluate"]), options.console.width, times)
+    table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
     return "\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n"

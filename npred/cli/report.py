@@ -18,7 +18,7 @@ from npred.pipeline import Outcome
 
 if TYPE_CHECKING:
     from npred.figures.style import Style
-    from npred.stages.report.report_data import Story
+    from npred.stages.report.report_data import PipelineResults
 
 NAME = "report.html"  # in a result
 SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of
@@ -56,18 +56,20 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     return path
 
 
-def write_figures(story: "Story", folder: Path, style: "Style") -> list[Path]:
+def write_figures(results: "PipelineResults", folder: Path, style: "Style") -> list[Path]:
     """The files of the figures and tables, written in the style of a medium; a folder is made where there is none."""
     from npred.figures import write
 
     folder.mkdir(parents=True, exist_ok=True)
-    for plate in story.plates().values():
-        write(plate, folder, style, FORMATS)
-    for table in story.tables().values():
-        (folder / f"{table.name}.csv").write_text(table.csv(), encoding="utf-8")
-        (folder / f"{table.name}.tex").write_text(table.latex(), encoding="utf-8")
-    figures = [folder / f"{name}.{form}" for name in story.plates() for form in FORMATS]
-    return figures + [folder / f"{name}.{form}" for name in story.tables() for form in ("csv", "tex")]
+    files = []
+    for name, figure in results.figures().items():
+        write(figure, folder, style, FORMATS)
+        files += [folder / f"{name}.{form}" for form in FORMATS]
+    for name, table in results.tables().items():
+        for form, text in (("csv", table.csv()), ("tex", table.latex())):
+            files.append(folder / f"{name}.{form}")
+            files[-1].write_text(text, encoding="utf-8")
+    return files
 
 
 def source_of(options: Planned) -> str:

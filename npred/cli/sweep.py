@@ -16,14 +16,13 @@ from npred import figures
 from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
 from npred.errors import ConfigError, NpredError, room_on_disk, unlisted
-from npred.figures.figure import Panel, Plate
-from npred.figures.loops import keys
-from npred.figures.style import ROLES, log, look
+from npred.figures.figure import Figure, Panel, legend
+from npred.figures.style import ROLES, line_of, log
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, CellRun, Planner, Runner, nodes, remember
 from npred.pipeline.cells import Cell, cells
 from npred.progress import counted
-from npred.results import Benched, Contender, Evaluated, Trained, ranked
+from npred.results import Benched, Evaluated, PredictorId, Trained, ranked
 from npred.results.evaluate import Scores
 from npred.terminal.console import columns
 
@@ -166,11 +165,11 @@ def rows_of(cell: Cell, run: CellRun) -> Iterator[Row]:
         yield Row(cell.values, contender.name, numbers, artifacts[source].name)
 
 
-def _measured(run: CellRun, folders: dict[str, Path]) -> dict[Contender, Scores] | dict[Contender, Trained]:
+def _measured(run: CellRun, folders: dict[str, Path]) -> dict[PredictorId, Scores] | dict[PredictorId, Trained]:
     if "evaluate" in folders:
         models = Evaluated.read(folders["evaluate"]).models
         return {contender: scores for contender, scores in models.items() if contender.is_network}
-    return {Contender(node.model): Trained.read(folders[node.name]) for node in run.nodes if node.model}
+    return {PredictorId(node.model): Trained.read(folders[node.name]) for node in run.nodes if node.model}
 
 
 def _numbers(measured: Scores | Trained) -> dict[str, float | None]:
@@ -183,7 +182,7 @@ def _numbers(measured: Scores | Trained) -> dict[str, float | None]:
     return {key: number if math.isfinite(number := numbers.get(key, math.nan)) else None for key in keys}
 
 
-def _latency(benched: Benched | None, contender: Contender, dx: float) -> float | None:
+def _latency(benched: Benched | None, contender: PredictorId, dx: float) -> float | None:
     rows = benched.table if benched and contender.epoch is None else []
     times = [row.median_us for row in rows if row.predictor == contender.model and abs(row.dx - dx) < dx / 10]
     return min(times, default=None)
@@ -227,12 +226,12 @@ def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
         Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
     )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
-    figures.write(Plate("front", "The front", caption, panels, keys(_contenders(rows).values())), folder)
+    figures.write(Figure("front", "The front", caption, panels, legend([*_contenders(rows).values()])), folder)
     return [folder / "front.svg", folder / "front.png"]
 
 
-def _contenders(rows: Sequence[Row]) -> dict[str, Contender]:
-    contenders = ranked(Contender.parse(model) for model in dict.fromkeys(row.model for row in rows))
+def _contenders(rows: Sequence[Row]) -> dict[str, PredictorId]:
+    contenders = ranked(PredictorId.parse(model) for model in dict.fromkeys(row.model for row in rows))
     return {contender.name: contender for contender in contenders}
 
 
@@ -249,7 +248,7 @@ def _panel(rows: Sequence[Row], x: str, y: str, axis: "Axes") -> None:
     contenders = _contenders(rows)
     for model in dict.fromkeys(row.model for _, row in shown):
         of_model = np.array([row.model == model for _, row in shown])
-        axis.plot(*points[of_model].T, "o", color=look(contenders[model]).colour)
+        axis.plot(*points[of_model].T, "o", color=line_of(contenders[model]).colour)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:

@@ -7,7 +7,7 @@ import numpy as np
 from npred import randomness
 from npred.config import Generate, Pipeline
 from npred.plants import Plant
-from npred.results import Contender
+from npred.results import PredictorId
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Starts:
     map: slice
     repeats: int  # cases of each initial state
 
-    def of(self, contender: Contender) -> int:
+    def of(self, contender: PredictorId) -> int:
         """The number of loops that a contender runs: the map only with adaptation."""
         return len(self.D) if contender.adapts else self.cases.stop
 

@@ -3,13 +3,13 @@
 from npred.figures.accuracy import box, errors, kinds, learning
 from npred.figures.certified import certificate, certified
 from npred.figures.delay_margin import margin
-from npred.figures.evaluation_data import Evidence
-from npred.figures.figure import Plate, write
+from npred.figures.evaluation_data import EvaluationData
+from npred.figures.figure import Figure, write
 from npred.figures.latency import speed
 from npred.figures.loops import coverage, figure1, figure1_bounded
 from npred.figures.scenarios import delays, scenarios
 
 __all__ = [
-    "Evidence", "Plate", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1",
+    "EvaluationData", "Figure", "box", "certificate", "certified", "coverage", "delays", "errors", "figure1",
     "figure1_bounded", "kinds", "learning", "margin", "scenarios", "speed", "write",
 ]  # fmt: skip

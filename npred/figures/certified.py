@@ -1,49 +1,81 @@
 """What is known of a network's error: the radii that its loops end at, and the bound that holds with a confidence."""
 
 from collections.abc import Mapping
-from functools import partial
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence
-from npred.figures.figure import Key, Panel, Plate
-from npred.figures.loops import ends, keys
+from npred.figures.evaluation_data import EvaluationData
+from npred.figures.figure import Figure, LegendEntry, Panel, legend
+from npred.figures.loops import ends
 from npred.figures.notation import common_unit, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look, short
+from npred.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, positive, short
 from npred.plants import Plant
-from npred.results import Certified, Contender
-from npred.results.evaluate import Scores
+from npred.results import Certified, PredictorId
 
 
-def certificate(evidence: Evidence) -> Plate:
+def certificate(evaluation: EvaluationData) -> Figure:
     """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
+    plant, gain = evaluation.plant, evaluation.gain
     radii = {
-        contender: scores
-        for contender, scores in evidence.models.items()
+        predictor: scores
+        for predictor, scores in evaluation.models.items()
         if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
     }
-    gain, line, key = evidence.gain, "", ()
+
+    def draw(axis: Axes) -> None:
+        for predictor, row in radii.items():
+            eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
+            colour, marker = line_of(predictor).colour, "o" if predictor.epoch is None else "s"
+            worst = worst if 0 < worst < np.inf else np.nan
+            axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
+            axis.plot([eps], [median], marker, color=colour)
+            axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+        if radii and np.isfinite(gain):
+            eps = [row.eps_kappa for row in radii.values()]
+            span = np.array([min(eps) / 3, max(eps) * 3])
+            axis.plot(span, gain * span, **DOTTED)
+        axis.set_xlabel(with_unit("ε_{κ} on held-out samples", common_unit(plant, plant.inputs)))
+        log(axis, "x", "y")
+
+    alts = [
+        f"{predictor.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
+        f"{short(row.radius.worst)} (worst)"
+        for predictor, row in radii.items()
+    ]
+    alt = "; ".join(alts) + "." if alts else "No network's loops stay finite."
+    theory, entries = "", legend([*evaluation.loops])
     if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
-        line = (
+        theory = (
             f". Dotted: the radius of a constant error ε of U, {gain:.4g} ε; {gain:.4g} is the gain, the distance per ε"
         )
-        key = (Key(f"constant error: {gain:.4g} ε", Look("muted", (1, 2))),)
-    beside = ends(evidence)
+        entries.append(LegendEntry(f"constant error: {gain:.4g} ε", LineStyle("muted", (1, 2))))
+    beside = ends(evaluation)
     others = "Distance and W" if len(beside) > 1 else "Distance"
     caption = (
         "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
-        f"error that control sees{line}. {others}: the loop of the first figure over time."
+        f"error that control sees{theory}. {others}: the loop of the first figure over time."
     )
-    eps = with_unit("ε_{κ} on held-out samples", common_unit(evidence.plant, evidence.plant.inputs))
-    panels = (Panel("radius versus ε_{κ}", _alt_radii(radii), partial(_radii, radii, gain, eps)), *beside)
-    return Plate("certificate", "Error and radius", caption, panels, (*keys(evidence.loops), *key))
+    panels = [Panel("radius versus ε_{κ}", alt, draw), *beside]
+    return Figure("certificate", "Error and radius", caption, panels, entries)
 
 
-def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender, np.ndarray]) -> Plate | None:
+def certified(plant: Plant, result: Certified | None, errors: Mapping[PredictorId, np.ndarray]) -> Figure | None:
     """The share of rollouts with a larger error of U than ε, by network; None without a certificate."""
     if result is None:
         return None
     first = next(iter(result.models.values()))
+
+    def draw(axis: Axes) -> None:
+        for network, row in result.models.items():
+            ordered, line = np.sort(errors[network]), line_of(network)
+            share = 1 - np.arange(len(ordered)) / len(ordered)
+            axis.plot(positive(ordered), share, **line.line)
+            if row.adversarial and row.adversarial < np.inf:
+                axis.plot([row.adversarial], [share[-1]], "x", color=line.colour)
+        axis.axvline(first.tolerance, **DOTTED)
+        axis.set_xlabel(with_unit("ε, of U", common_unit(plant, plant.inputs)))
+        log(axis, "x", "y")
+
     crosses = "" if first.adversarial is None else "; crosses: the largest error that an adversary found"
     caption = (
         f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U, over inputs and over "
@@ -52,46 +84,7 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[Contender,
         f"a line{crosses}. Dotted: the tolerance of the guard. It holds for "
         f"the distribution that rollouts are drawn from."
     )
-    alt = "; ".join(f"{c.label}: at most {short(row.eps_kappa)}" for c, row in result.models.items()) + "."
-    unit = with_unit("ε, of U", common_unit(plant, plant.inputs))
-    panel = Panel("share of rollouts above ε", alt, partial(_exceeding, result, errors, unit))
-    tolerance = Key(f"tolerance {first.tolerance:.4g}", Look("muted", (1, 2)))
-    return Plate("certified", "With a confidence", caption, (panel,), (*keys(result.models), tolerance))
-
-
-def _exceeding(result: Certified, errors: Mapping[Contender, np.ndarray], unit: str, axis: Axes) -> None:
-    for contender, row in result.models.items():
-        ordered = np.sort(errors[contender])
-        share = 1 - np.arange(len(ordered)) / len(ordered)
-        axis.plot(np.where(ordered > 0, ordered, np.nan), share, **look(contender).line)
-        if row.adversarial and row.adversarial < np.inf:
-            axis.plot([row.adversarial], [share[-1]], "x", color=look(contender).colour)
-    tolerance = next(iter(result.models.values())).tolerance
-    axis.axvline(tolerance, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
-    axis.set_xlabel(unit)
-    log(axis, "x", "y")
-
-
-def _radii(rows: dict[Contender, Scores], gain: float, label: str, axis: Axes) -> None:
-    for contender, row in rows.items():
-        eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
-        colour, marker = look(contender).colour, "o" if contender.epoch is None else "s"
-        worst = worst if 0 < worst < np.inf else np.nan
-        axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
-        axis.plot([eps], [median], marker, color=colour)
-        axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
-    if rows and np.isfinite(gain):
-        eps = [row.eps_kappa for row in rows.values()]
-        span = np.array([min(eps) / 3, max(eps) * 3])
-        axis.plot(span, gain * span, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
-    axis.set_xlabel(label)
-    log(axis, "x", "y")
-
-
-def _alt_radii(rows: dict[Contender, Scores]) -> str:
-    radii = [
-        f"{contender.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
-        f"{short(row.radius.worst)} (worst)"
-        for contender, row in rows.items()
-    ]
-    return "; ".join(radii) + "." if radii else "No network's loops stay finite."
+    alt = "; ".join(f"{network.label}: at most {short(row.eps_kappa)}" for network, row in result.models.items()) + "."
+    tolerance = LegendEntry(f"tolerance {first.tolerance:.4g}", LineStyle("muted", (1, 2)))
+    panels = [Panel("share of rollouts above ε", alt, draw)]
+    return Figure("certified", "With a confidence", caption, panels, [*legend([*result.models]), tolerance])

@@ -1,6 +1,5 @@
 """The arrays of an evaluation in its folder, as the figures read them."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,12 +8,12 @@ import numpy as np
 from npred.config import Evaluate
 from npred.data import hdf5
 from npred.plants import Plant
-from npred.results import Contender, Evaluated
+from npred.results import Evaluated, PredictorId
 from npred.results.evaluate import Scores
 
 LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
 ERRORS = {"sup": 1, "over_x": 2}
-OF = {  # what rows of each kind are of
+OF = {  # the rows of each kind, in words
     "nominal": "nominal rollouts",
     "exploring": "exploring rollouts",
     "redrawn": "rows with a redrawn D̂",
@@ -43,15 +42,15 @@ class ErrorArrays:
 
 @dataclass(frozen=True)
 class Histogram:
-    """One quantity: edges (k + 1,), density of the data (k,) and of each contender's loops."""
+    """One quantity: edges (k + 1,), density of the data (k,) and of each predictor's loops."""
 
     edges: np.ndarray
     data: np.ndarray
-    loops: dict[Contender, np.ndarray]
+    loops: dict[PredictorId, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EvaluationData:
     """An evaluation: its answer, and the arrays beside it; X (N, n) and D_hat (N,) of the held-out samples.
 
     X, D_hat and `errors` are of held-out samples of the first kind; `kinds` has the sup over x of |P_hat - P| by kind
@@ -60,15 +59,15 @@ class Evidence:
 
     plant: Plant
     config: Evaluate
-    models: dict[Contender, Scores]
+    models: dict[PredictorId, Scores]
     gain: float
-    loops: dict[Contender, LoopSeries]
+    loops: dict[PredictorId, LoopSeries]
     X: np.ndarray
     D_hat: np.ndarray
-    errors: dict[Contender, ErrorArrays]
+    errors: dict[PredictorId, ErrorArrays]
     coverage: dict[str, Histogram]
-    kinds: dict[str, dict[Contender, np.ndarray]]
-    bounded: dict[Contender, LoopSeries] = field(default_factory=dict)  # loops with U within figure_bounds
+    kinds: dict[str, dict[PredictorId, np.ndarray]]
+    bounded: dict[PredictorId, LoopSeries] = field(default_factory=dict)  # loops with U within figure_bounds
 
     @property
     def samples(self) -> str:
@@ -76,40 +75,45 @@ class Evidence:
         return f"held-out samples of {OF[next(iter(self.kinds))]}"
 
     @classmethod
-    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "Evidence":
+    def read(cls, folder: Path, plant: Plant, config: Evaluate, result: Evaluated) -> "EvaluationData":
         """The files in the folder of an evaluate artifact with that result."""
-        order = list(result.models)
-        networks = [contender for contender in order if contender.is_network]
-        densities = {f"loops/{contender.name}": contender for contender in order if contender.epoch is None}
-        (rows,) = _arrays(folder / "errors.h5", [""], {"X": 2, "D_hat": 1})
-        errors = _arrays(folder / "errors.h5", [f"networks/{c.name}/" for c in networks], ERRORS)
-        loops = _loops(folder / "figure1.h5", order)
+        predictors = list(result.models)
+        networks = [predictor for predictor in predictors if predictor.is_network]
+        errors, loops = folder / "errors.h5", folder / "figure1.h5"
+        (held_out,) = _arrays(errors, [""], {"X": 2, "D_hat": 1})
+        prefixes = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(result.kinds)}
+        kinds = {
+            kind: _arrays(errors, [f"{prefix}networks/{network.name}/" for network in networks], {"sup": 1})
+            for kind, prefix in prefixes.items()
+        }
+        densities = {f"loops/{each.name}": each for each in predictors if each.epoch is None}
         quantities = [*plant.states, *plant.inputs, "D_hat"]
-        kinds = dict.fromkeys(("edges", "data", *densities), 1)
-        histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], kinds)
-        coverage = [Histogram(h["edges"], h["data"], {densities[k]: h[k] for k in densities}) for h in histograms]
+        axes = dict.fromkeys(("edges", "data", *densities), 1)
+        histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], axes)
+
+        def series(group: str) -> dict[PredictorId, LoopSeries]:
+            rows = _arrays(loops, [f"{group}{predictor.name}/" for predictor in predictors], LOOP)
+            return {predictor: LoopSeries(**arrays) for predictor, arrays in zip(predictors, rows, strict=True)}
+
+        by_network = _arrays(errors, [f"networks/{network.name}/" for network in networks], ERRORS)
         return cls(
-            plant, config, result.models, result.gain,
-            loops, **rows,
-            errors={c: ErrorArrays(**arrays) for c, arrays in zip(networks, errors, strict=True)},
-            coverage=dict(zip(quantities, coverage, strict=True)), kinds=_by_kind(folder, result.kinds, networks),
-            bounded=_loops(folder / "figure1.h5", order, "bounded/") if config.bounded else {},
-        )  # fmt: skip
-
-
-def _loops(path: Path, order: list[Contender], group: str = "") -> dict[Contender, LoopSeries]:
-    series = _arrays(path, [f"{group}{c.name}/" for c in order], LOOP)
-    return {c: LoopSeries(**arrays) for c, arrays in zip(order, series, strict=True)}
-
-
-def _by_kind(folder: Path, kinds: Iterable[str], networks: list[Contender]) -> dict[str, dict[Contender, np.ndarray]]:
-    """The sup over x of each network's error by kind of row; those of the first kind are the file's."""
-    prefixes = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(kinds)}
-    groups = {kind: [f"{prefix}networks/{c.name}/" for c in networks] for kind, prefix in prefixes.items()}
-    by_kind = {kind: _arrays(folder / "errors.h5", group, {"sup": 1}) for kind, group in groups.items()}
-    return {
-        kind: {name: a["sup"] for name, a in zip(networks, arrays, strict=True)} for kind, arrays in by_kind.items()
-    }
+            plant,
+            config,
+            result.models,
+            result.gain,
+            loops=series(""),
+            **held_out,
+            errors={network: ErrorArrays(**each) for network, each in zip(networks, by_network, strict=True)},
+            coverage={
+                name: Histogram(h["edges"], h["data"], {densities[key]: h[key] for key in densities})
+                for name, h in zip(quantities, histograms, strict=True)
+            },
+            kinds={
+                kind: {network: each["sup"] for network, each in zip(networks, arrays, strict=True)}
+                for kind, arrays in kinds.items()
+            },
+            bounded=series("bounded/") if config.bounded else {},
+        )
 
 
 def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:

@@ -1,120 +1,110 @@
 """What a recording tells of a plant: recorded and fitted outputs, the cost of each delay, and what is left over."""
 
-from collections.abc import Iterator
-from functools import partial
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.figure import Figure, LegendEntry, Panel
 from npred.figures.notation import quantity, timed
-from npred.figures.style import ROLES, Axes, Look, short
+from npred.figures.style import DOTTED, ROLES, Axes, LineStyle, short
 from npred.plants import Plant
 
-RECORDED, FITTED = Look("muted", marker="o", width=0), Look("blue")
+BLUE, MUTED, FILL = (ROLES[role][0] for role in ("blue", "muted", "fill"))
 
 
-def plates(plant: Plant, drawn: dict[str, Any]) -> Iterator[Plate]:
+def figures(plant: Plant, drawn: dict[str, Any]) -> Iterator[Figure]:
     """The figures of one identification; `drawn` is what npred.stages.identify has written."""
-    yield _outputs(plant, drawn)
-    yield _profiles(plant, drawn)
+    yield _recording(plant, drawn)
+    yield _delay_costs(plant, drawn)
     yield _residuals(plant, drawn)
     if len(drawn["window_t"]):
         yield _windows(plant, drawn)
 
 
-def _outputs(plant: Plant, drawn: dict[str, Any]) -> Plate:
-    t, Y, fitted = drawn["t"], drawn["Y"], drawn["fitted"]
+def _recording(plant: Plant, drawn: dict[str, Any]) -> Figure:
+    def outputs(k: int) -> Callable[[Axes], None]:
+        def draw(axis: Axes) -> None:
+            axis.plot(drawn["t"], drawn["Y"][:, k], ".", markersize=2.5, color=MUTED)
+            axis.plot(drawn["t"], drawn["fitted"][:, k], color=BLUE, linewidth=1.2)
+            axis.set_xlabel(timed(plant, "t"))
+
+        return draw
+
+    def commands(j: int) -> Callable[[Axes], None]:
+        def draw(axis: Axes) -> None:
+            axis.step(drawn["t_U"], drawn["U"][:, j], where="post", color=ROLES["ink"][0], linewidth=1.2)
+            axis.set_xlabel(timed(plant, "t"))
+
+        return draw
+
     panels = [
-        Panel(
-            quantity(plant, name),
-            f"{name} as recorded and as fitted.",
-            partial(_output, t, Y[:, k], fitted[:, k], plant),
-        )
+        Panel(quantity(plant, name), f"{name} as recorded and as fitted.", outputs(k))
         for k, name in enumerate(plant.outputs)
     ]
     panels += [
-        Panel(quantity(plant, name), f"The commands {name}.", partial(_commands, drawn["t_U"], drawn["U"][:, j], plant))
-        for j, name in enumerate(plant.inputs)
+        Panel(quantity(plant, name), f"The commands {name}.", commands(j)) for j, name in enumerate(plant.inputs)
     ]
     caption = "The outputs as recorded, and as the model has them from the begin of each segment on; the commands."
-    return Plate(
-        "recording", "The recording", caption, tuple(panels), (Key("recorded", RECORDED), Key("model", FITTED))
-    )
+    entries = [
+        LegendEntry("recorded", LineStyle("muted", marker="o", width=0)),
+        LegendEntry("model", LineStyle("blue")),
+    ]
+    return Figure("recording", "The recording", caption, panels, entries)
 
 
-def _output(t: np.ndarray, y: np.ndarray, fitted: np.ndarray, plant: Plant, axis: Axes) -> None:
-    axis.plot(t, y, ".", markersize=2.5, color=ROLES["muted"][0])
-    axis.plot(t, fitted, color=ROLES["blue"][0], linewidth=1.2)
-    axis.set_xlabel(timed(plant, "t"))
-
-
-def _commands(t: np.ndarray, U: np.ndarray, plant: Plant, axis: Axes) -> None:
-    axis.step(t, U, where="post", color=ROLES["ink"][0], linewidth=1.2)
-    axis.set_xlabel(timed(plant, "t"))
-
-
-def _profiles(plant: Plant, drawn: dict[str, Any]) -> Plate:
-    panels = []
+def _delay_costs(plant: Plant, drawn: dict[str, Any]) -> Figure:
+    panels, level = [], drawn["level"]
     for j, name in enumerate(plant.inputs):
         D, rise = drawn[f"profile_{j}"]
         low, high = drawn["interval"][j]
+
+        def draw(axis: Axes, D: Any = D, rise: Any = rise, low: float = low, high: float = high) -> None:
+            axis.axvspan(low, high, color=FILL, zorder=0)
+            axis.axhline(level, **DOTTED)
+            axis.plot(D, rise, color=BLUE, marker=".", markersize=4)
+            axis.set_xlabel(timed(plant, "delay"))
+            axis.set_ylim(0, min(float(np.nanmax(rise, initial=0.0)), 8 * level) * 1.05 + 1e-9)
+
         alt = f"Least at {short(drawn['D'][j], 4)}; with 95 % from {short(low, 4)} to {short(high, 4)}."
-        draw = partial(_profile, D, rise, drawn["level"], (low, high), plant)
         panels.append(Panel(f"cost above the least one, by the delay of {name}", alt, draw))
     caption = (
         "How much worse other delays fit, with everything else fitted anew. Dotted: what the data cannot tell from the "
         "best. Shaded: the interval of 95 %, which may be wider, since the segments were drawn anew as well."
     )
-    return Plate("profile", "The delay", caption, tuple(panels))
+    return Figure("profile", "The delay", caption, panels)
 
 
-def _profile(
-    D: np.ndarray, rise: np.ndarray, level: float, interval: tuple[float, float], plant: Plant, axis: Axes
-) -> None:
-    axis.axvspan(*interval, color=ROLES["fill"][0], zorder=0)
-    axis.axhline(level, color=ROLES["muted"][0], linestyle=(0, (1, 2)), linewidth=1.2)
-    axis.plot(D, rise, color=ROLES["blue"][0], marker=".", markersize=4)
-    axis.set_xlabel(timed(plant, "delay"))
-    axis.set_ylim(0, min(float(np.nanmax(rise, initial=0.0)), 8 * level) * 1.05 + 1e-9)
+def _residuals(plant: Plant, drawn: dict[str, Any]) -> Figure:
+    panels, rho = [], drawn["autocorrelation"]
+    for name, left in zip(plant.outputs, (drawn["Y"] - drawn["fitted"]).T, strict=True):
 
+        def draw(axis: Axes, left: np.ndarray = left) -> None:
+            axis.plot(drawn["t"], left, ".", markersize=2.5, color=MUTED)
+            axis.set_xlabel(timed(plant, "t"))
 
-def _residuals(plant: Plant, drawn: dict[str, Any]) -> Plate:
-    panels = []
-    for k, name in enumerate(plant.outputs):
-        left = drawn["Y"][:, k] - drawn["fitted"][:, k]
-        panels.append(
-            Panel(f"residual of {quantity(plant, name)}", "What is left over.", partial(_left, drawn["t"], left, plant))
-        )
-    rho = drawn["autocorrelation"]
-    panels.append(Panel("autocorrelation of residuals", "1 at 0.", partial(_correlation, rho)))
+        panels.append(Panel(f"residual of {quantity(plant, name)}", "What is left over.", draw))
+
+    def correlation(axis: Axes) -> None:
+        axis.axhline(0.0, color=ROLES["grid"][0], linewidth=1.0)
+        axis.plot(np.arange(len(rho)), rho, color=BLUE, marker=".", markersize=4)
+        axis.set_xlabel("samples")
+
+    panels.append(Panel("autocorrelation of residuals", "1 at 0.", correlation))
     caption = (
         "Recorded less fitted. White noise has no autocorrelation; what stays on one side is missing in the model."
     )
-    return Plate("residuals", "What is left over", caption, tuple(panels))
+    return Figure("residuals", "What is left over", caption, panels)
 
 
-def _left(t: np.ndarray, r: np.ndarray, plant: Plant, axis: Axes) -> None:
-    axis.plot(t, r, ".", markersize=2.5, color=ROLES["muted"][0])
-    axis.set_xlabel(timed(plant, "t"))
+def _windows(plant: Plant, drawn: dict[str, Any]) -> Figure:
+    panels, t = [], drawn["window_t"]
+    for j, name in enumerate(plant.inputs):
 
+        def draw(axis: Axes, D: Any = drawn["window_D"][:, j], ends: Any = drawn["window_interval"][:, j]) -> None:
+            axis.fill_between(t, ends[:, 0], ends[:, 1], color=FILL)
+            axis.plot(t, D, color=BLUE, marker=".", markersize=5)
+            axis.set_xlabel(timed(plant, "t"))
 
-def _correlation(rho: np.ndarray, axis: Axes) -> None:
-    axis.axhline(0.0, color=ROLES["grid"][0], linewidth=1.0)
-    axis.plot(np.arange(len(rho)), rho, color=ROLES["blue"][0], marker=".", markersize=4)
-    axis.set_xlabel("samples")
-
-
-def _windows(plant: Plant, drawn: dict[str, Any]) -> Plate:
-    t, D, interval = drawn["window_t"], drawn["window_D"], drawn["window_interval"]
-    panels = tuple(
-        Panel(timed(plant, f"delay of {name}"), "Delay by window.", partial(_window, t, D[:, j], interval[:, j], plant))
-        for j, name in enumerate(plant.inputs)
-    )
-    return Plate("windows", "The delay over time", "The delay of each window, with its interval of 95 %.", panels)
-
-
-def _window(t: np.ndarray, D: np.ndarray, interval: np.ndarray, plant: Plant, axis: Axes) -> None:
-    axis.fill_between(t, interval[:, 0], interval[:, 1], color=ROLES["fill"][0])
-    axis.plot(t, D, color=ROLES["blue"][0], marker=".", markersize=5)
-    axis.set_xlabel(timed(plant, "t"))
+        panels.append(Panel(timed(plant, f"delay of {name}"), "Delay by window.", draw))
+    return Figure("windows", "The delay over time", "The delay of each window, with its interval of 95 %.", panels)

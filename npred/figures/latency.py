@@ -2,13 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import partial
 from math import inf, isfinite
 
-from npred.figures.figure import Key, Panel, Plate
-from npred.figures.style import Axes, Look, colours, log
+from npred.figures.figure import Figure, LegendEntry, Panel
+from npred.figures.style import Axes, LineStyle, colours, log
 from npred.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
-from npred.results import Contender, ranked
+from npred.results import PredictorId, ranked
 from npred.results.bench import CallTimes
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
@@ -20,78 +19,99 @@ INTERPRETED = Registry(  #: how the baselines of pipeline/interpreted.py are dra
         "euler_python": Entry("", "Euler, interpreted", ("muted", (), "P")),
     },
 )
-TAIL = {"median_us": "o", "p95_us": "|", "p999_us": "|"}
+NUMERICS = {"python": INTERPRETED, "compiled": METHODS}  # by runtime; all others are of networks
+TAIL = {"median_us": "", "p95_us": "|", "p999_us": "|"}
 
 
-def speed(rows: list[CallTimes]) -> Plate:
+def speed(rows: list[CallTimes]) -> Figure:
     """Latency against error and against dx, a line through the grids of each; median to 99.9 % at the finest dx."""
     single = [row for row in rows if row.batch == 1 and isfinite(row.eps_sup)]
-    front = _series(_near(single))
+    worst = max((row.eps_sup for row in single if row.is_network), default=inf)
+    near = _series(row for row in single if row.eps_sup <= FAR * worst)  # others would leave these no room
     grids = _series(row for row in single if row.matches is None)
-    networks = {c.model: c for c in ranked(Contender(row.predictor) for row in rows if row.is_network)}
-    looks = {name: _look(series[0], networks) for name, series in _series(single).items()}
+    networks = {c.model: c for c in ranked(PredictorId(row.predictor) for row in rows if row.is_network)}
+    styles = {name: _style(series[0], networks) for name, series in _series(single).items()}
+
+    def against_error(axis: Axes) -> None:
+        for name, series in near.items():
+            style, best = styles[name], _unbeaten(series)
+            points = [row.eps_sup for row in series], [row.median_us for row in series]
+            axis.plot(*points, style.marker, color=style.colour)
+            line = replace(style, marker="").line
+            axis.plot([row.eps_sup for row in best], [row.median_us for row in best], **line)
+        axis.set_xlabel("sup error ε")
+        log(axis, "x", "y")
+
+    def against_dx(axis: Axes) -> None:
+        for name, series in grids.items():
+            axis.plot([row.dx for row in series], [row.median_us for row in series], **styles[name].line)
+        axis.set_xlabel("dx")
+        log(axis, "x", "y")
+
+    def tails(axis: Axes) -> None:
+        for position, (name, (finest, *_)) in enumerate(grids.items()):
+            style = styles[name]
+            axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
+            for key, marker in TAIL.items():
+                axis.plot([getattr(finest, key)], [position], marker or style.marker, color=style.colour)
+        line = 1.2 * float(axis.yaxis.get_ticklabels()[0].get_fontsize())
+        room = axis.bbox.height * 72 / axis.figure.dpi / line  # labels that the axis has the height for
+        named = list(grids) if room > len(grids) else [""] * len(grids)  # else the legend has to do
+        axis.set(yticks=range(len(grids)), yticklabels=named, xlabel="µs per call")
+        axis.invert_yaxis()
+        axis.grid(axis="y", visible=False)
+        log(axis, "x")
+
+    quickest = {name: min(series, key=lambda row: row.median_us) for name, series in near.items()}
+    front = [f"{name}: {row.median_us:.3g} µs at error {row.eps_sup:.1e}" for name, row in quickest.items()]
+    by_dx = [
+        f"{name}: {coarse.median_us:.3g} µs at dx = {coarse.dx:.3g}, {fine.median_us:.3g} µs at {fine.dx:.3g}"
+        for name, (fine, coarse) in ((name, (series[0], series[-1])) for name, series in grids.items())
+    ]
+    tail = [f"{name}: {series[0].median_us:.3g} to {series[0].p999_us:.3g} µs" for name, series in grids.items()]
     caption = (
         "Time of one call at batch 1. Versus ε: the median and the error, one mark per grid. The line of a method "
         "joins the grids that no other grid of it beats in both; lower and further left is better. From the median "
         "to the 99.9 % quantile: at the finest dx; a control loop misses its deadline in the tail."
     )
-    panels = (
-        Panel("µs per call versus ε", _alt_front(front), partial(_fronts, front, looks)),
-        Panel("µs per call versus dx", _alt_grids(grids), partial(_lines, grids, looks)),
-        Panel("µs, median to 99.9 %", _alt_tail(grids), partial(_tails, grids, looks)),
-    )  # fmt: skip
-    return Plate("speed", "Latency and accuracy", caption, panels, tuple(Key(*item) for item in looks.items()))
-
-
-def _near(rows: list[CallTimes]) -> list[CallTimes]:
-    """Without the errors that would leave the others no room."""
-    worst = max((row.eps_sup for row in rows if row.is_network), default=inf)
-    return [row for row in rows if row.eps_sup <= FAR * worst]
+    panels = [
+        Panel("µs per call versus ε", "; ".join(front) + ".", against_error),
+        Panel("µs per call versus dx", "; ".join(by_dx) + ".", against_dx),
+        Panel("µs, median to 99.9 %", "; ".join(tail) + ".", tails),
+    ]
+    entries = [LegendEntry(name, style) for name, style in styles.items()]
+    return Figure("speed", "Latency and accuracy", caption, panels, entries)
 
 
 def label(row: CallTimes) -> str:
     """Predictor and runtime for people."""
-    if (parts := _numerical(row)) is not None:
-        return parts.label(row.predictor)
+    if row.runtime in NUMERICS:
+        return NUMERICS[row.runtime].label(row.predictor)
     device = "" if row.copies is None else f" on {row.device}, {'with' if row.copies else 'without'} copies"
     return f"{NETWORKS.label(row.predictor)}, {row.runtime}{device}"
 
 
-def _look(row: CallTimes, networks: dict[str, Contender]) -> Look:
-    """A numerical predictor has one look; a network its colour, and the dash and marker of the runtime."""
-    if (parts := _numerical(row)) is not None:
-        role, dash, marker = parts.look(row.predictor)
-        return Look(role, dash, 1.2, marker)
+def _style(row: CallTimes, networks: dict[str, PredictorId]) -> LineStyle:
+    """A numerical predictor has one line; a network its colour, and the dash and marker of the runtime."""
+    if row.runtime in NUMERICS:
+        role, dash, marker = NUMERICS[row.runtime].look(row.predictor)
+        return LineStyle(role, dash, 1.2, marker)
     _, dash, marker = RUNTIMES.look(row.runtime)
-    return Look(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
-
-
-def _numerical(row: CallTimes) -> Registry | None:
-    """The registry that names the row's predictor; None for a network."""
-    return {"python": INTERPRETED, "compiled": METHODS}.get(row.runtime)
+    return LineStyle(colours(networks[row.predictor])[row.copies is not None], dash, 1.2, marker)
 
 
 def _series(rows: Iterable[CallTimes]) -> dict[str, list[CallTimes]]:
     """The rows of each predictor and runtime, from the finest grid to the coarsest."""
+    order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS.builtin]
     series: dict[str, list[CallTimes]] = {}
     for row in sorted(rows, key=lambda row: row.dx):
         series.setdefault(label(row), []).append(row)
-    return dict(sorted(series.items(), key=lambda item: _rank(item[1][0])))
 
+    def rank(item: tuple[str, list[CallTimes]]) -> tuple[int, str]:
+        name = item[1][0].predictor
+        return order.index(name) if name in order else len(order), item[0]
 
-def _rank(row: CallTimes) -> tuple[int, str]:
-    order = [*INTERPRETED.builtin, *METHODS.builtin, *NETWORKS.builtin]
-    return order.index(row.predictor) if row.predictor in order else len(order), label(row)
-
-
-def _fronts(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
-    for name, rows in series.items():
-        front, look = _unbeaten(rows), looks[name]
-        axis.plot([row.eps_sup for row in rows], [row.median_us for row in rows], look.marker, color=look.colour)
-        line = replace(look, marker="").line
-        axis.plot([row.eps_sup for row in front], [row.median_us for row in front], **line)
-    axis.set_xlabel("sup error ε")
-    log(axis, "x", "y")
+    return dict(sorted(series.items(), key=rank))
 
 
 def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
@@ -101,47 +121,3 @@ def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
         if not best or row.median_us < best[-1].median_us:
             best.append(row)
     return best
-
-
-def _lines(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
-    for name, rows in series.items():
-        axis.plot([row.dx for row in rows], [row.median_us for row in rows], **looks[name].line)
-    axis.set_xlabel("dx")
-    log(axis, "x", "y")
-
-
-def _tails(series: dict[str, list[CallTimes]], looks: dict[str, Look], axis: Axes) -> None:
-    for position, (name, (finest, *_)) in enumerate(series.items()):
-        style = looks[name]
-        axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
-        for key, marker in TAIL.items():
-            axis.plot(
-                [getattr(finest, key)], [position], marker if key != "median_us" else style.marker, color=style.colour
-            )
-    named = list(series) if _room(axis) > len(series) else [""] * len(series)  # else the legend has to do
-    axis.set(yticks=range(len(series)), yticklabels=named, xlabel="µs per call")
-    axis.invert_yaxis()
-    axis.grid(axis="y", visible=False)
-    log(axis, "x")
-
-
-def _room(axis: Axes) -> float:
-    """The number of labels that the y axis has the height for."""
-    line = 1.2 * float(axis.yaxis.get_ticklabels()[0].get_fontsize())
-    return axis.bbox.height * 72 / axis.figure.dpi / line
-
-
-def _alt_front(series: dict[str, list[CallTimes]]) -> str:
-    quickest = {name: min(rows, key=lambda row: row.median_us) for name, rows in series.items()}
-    return "; ".join(f"{n}: {r.median_us:.3g} µs at error {r.eps_sup:.1e}" for n, r in quickest.items()) + "."
-
-
-def _alt_grids(series: dict[str, list[CallTimes]]) -> str:
-    texts = [f"{name}: {rows[-1].median_us:.3g} µs at dx = {rows[-1].dx:.3g}, {rows[0].median_us:.3g} µs at "
-             f"{rows[0].dx:.3g}" for name, rows in series.items()]  # fmt: skip
-    return "; ".join(texts) + "."
-
-
-def _alt_tail(series: dict[str, list[CallTimes]]) -> str:
-    texts = [f"{name}: {rows[0].median_us:.3g} to {rows[0].p999_us:.3g} µs" for name, rows in series.items()]
-    return "; ".join(texts) + "."

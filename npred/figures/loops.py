@@ -1,158 +1,109 @@
 """The loop of [DAPF, Fig. 1] with each predictor: states, input and delay estimate, differences, and coverage."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
-from npred.figures.evaluation_data import Evidence, Histogram, LoopSeries
-from npred.figures.figure import Key, Panel, Plate
+from npred.figures.evaluation_data import EvaluationData, Histogram
+from npred.figures.figure import Figure, LegendEntry, Panel, legend
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.figures.style import ROLES, Axes, Look, log, look, short
+from npred.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, positive, short
 from npred.loop import delay_law, lyapunov, metrics
-from npred.results import NUMERICAL, Contender
+from npred.results import NUMERICAL, PredictorId
 
-GOAL = {"color": ROLES["muted"][0], "linewidth": 0.8, "linestyle": (0, (1, 2)), "zorder": 0}
+GOAL: dict[str, Any] = DOTTED | {"linewidth": 0.8, "zorder": 0}
 ROUNDS = 30  # of the fixed-point iteration for when a command acts
 
 
-def figure1(evidence: Evidence) -> Plate:
+def figure1(evaluation: EvaluationData) -> Figure:
     """x, U and D_hat over time [DAPF, Fig. 1], and how far each loop is from the numerical predictor's."""
-    plant, columns = evidence.plant, {contender: _columns(loop) for contender, loop in evidence.loops.items()}
-    t, time = evidence.loops[NUMERICAL].t, timed(plant, "t")
-    goals, kept = _goals(evidence, t), _converging(evidence)
-    panels = []
-    for k, name in enumerate((*plant.states, *plant.inputs, "D_hat")):
+    plant, loops, t = evaluation.plant, evaluation.loops, evaluation.loops[NUMERICAL].t
+    columns = {predictor: np.column_stack([loop.X, loop.U, loop.D_hat]) for predictor, loop in loops.items()}
+    kept, panels = _converging(evaluation), []
+    for k, (name, goal) in enumerate(_goals(evaluation, t).items()):
+        series = {predictor: values[:, k] for predictor, values in columns.items()}
         what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
+        span = _around([goal, *(series[predictor] for predictor in kept)], [*series.values()])
+        ends = "; ".join(f"{predictor.label} {each[0]:.4g} to {each[-1]:.4g}" for predictor, each in series.items())
         title = what + quantity(plant, name)
-        span = _around([goals[:, k], *(columns[c][:, k] for c in kept)], [series[:, k] for series in columns.values()])
-        panels.append(Panel(title, _alt(title, k, columns, t), partial(_over_time, t, columns, k, goals, span, time)))
-    apart = _apart(evidence)
-    if apart:
+        alt = f"{title} from t = 0 to {t[-1]:g}: {ends}."
+
+        def draw(axis: Axes, series: Any = series, goal: Any = goal, span: Any = span) -> None:
+            for predictor, values in series.items():
+                axis.plot(t, values, **line_of(predictor).line)
+            axis.plot(t, goal, **GOAL)
+            axis.set(xlabel=timed(plant, "t"), xlim=(t[0], t[-1]), ylim=span)
+
+        panels.append(Panel(title, alt, draw))
+    exact = loops[NUMERICAL].X
+    apart = {predictor: np.linalg.norm(loop.X - exact, axis=1) for predictor, loop in loops.items()}
+    apart = {predictor: each for predictor, each in apart.items() if np.any((each > 0) & np.isfinite(each))}
+    if apart:  # curves that lie on one another have a distance here
         title = with_unit("difference from the numerical loop", common_unit(plant, plant.states))
-        panels.append(Panel(title, _alt_apart(apart), partial(_curves, t, apart, time)))
-    return Plate("figure1", "The closed loop", _caption(evidence, apart), tuple(panels), keys(evidence.loops))
-
-
-def figure1_bounded(evidence: Evidence) -> Plate | None:
-    """The same of the loops with U within `figure_bounds`; None where there are none."""
-    table = evidence.config.bounded
-    if table is None:
-        return None
-    plate = figure1(replace(evidence, config=table, loops=evidence.bounded))
-    return replace(plate, name="figure1_bounded", title="The closed loop, U within bounds")
-
-
-def _apart(evidence: Evidence) -> dict[Contender, np.ndarray]:
-    """|X - X of the numerical predictor's loop| over time, (nt,): curves on one another have a distance here."""
-    exact = evidence.loops[NUMERICAL].X
-    every = {c: np.linalg.norm(loop.X - exact, axis=1) for c, loop in evidence.loops.items()}
-    return {c: values for c, values in every.items() if np.any((values > 0) & np.isfinite(values))}
-
-
-def _alt_apart(apart: dict[Contender, np.ndarray]) -> str:
-    largest = "; ".join(f"{c.label} {short(np.max(values))}" for c, values in apart.items())
-    return f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
-
-
-def _caption(evidence: Evidence, apart: dict[Contender, np.ndarray]) -> str:
-    plant, config = evidence.plant, evidence.config
+        largest = "; ".join(f"{predictor.label} {short(np.max(each))}" for predictor, each in apart.items())
+        alt = f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
+        panels.append(Panel(title, alt, _curves(t, apart, timed(plant, "t"))))
+    near = ", ".join(f"{predictor.label} {short(np.max(apart[predictor]))}" for predictor in kept if predictor in apart)
+    config = evaluation.config
     D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
     delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
-    goal = "the delay there" if plant.declares_delay else "the true delay"
-    of = f" [{plant.figure}]" if plant.figure else ""
-    where, start = "rest" if plant.rests else "the reference", ", ".join(f"{value:g}" for value in config.X0)
-    near = ", ".join(f"{c.label} {short(np.max(apart[c]))}" for c in _converging(evidence) if c in apart)
-    said = f" Lines that lie on each other differ from the numerical loop by at most: {near}." if near else ""
-    return (
-        f"One closed loop{of} from X(0) = ({start}) with {delay}, run with each "
-        f"predictor{_limits(evidence)}. Grey and dotted: {where}, and {goal}. "
-        f"A loop that does not converge may leave the picture.{said}"
+    caption = (
+        f"One closed loop{f' [{plant.figure}]' if plant.figure else ''} "
+        f"from X(0) = ({', '.join(f'{value:g}' for value in config.X0)}) with {delay}, run with each "
+        f"predictor{_limits(evaluation)}. Grey and dotted: {'rest' if plant.rests else 'the reference'}, and "
+        f"{'the delay there' if plant.declares_delay else 'the true delay'}. "
+        "A loop that does not converge may leave the picture."
     )
+    if near:
+        caption += f" Lines that lie on each other differ from the numerical loop by at most: {near}."
+    return Figure("figure1", "The closed loop", caption, panels, legend([*loops]))
 
 
-def _limits(evidence: Evidence) -> str:
+def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
+    """The same of the loops with U within `figure_bounds`; None where there are none."""
+    table = evaluation.config.bounded
+    if table is None:
+        return None
+    figure = figure1(replace(evaluation, config=table, loops=evaluation.bounded))
+    return replace(figure, name="figure1_bounded", title="The closed loop, U within bounds")
+
+
+def _limits(evaluation: EvaluationData) -> str:
     """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
-    plant, bounds = evidence.plant, evidence.config.input_bounds
+    plant, bounds = evaluation.plant, evaluation.config.input_bounds
     if bounds is None:
-        return ", U without bounds" if evidence.bounded and plant.input_bounds is None else ""
+        return ", U without bounds" if evaluation.bounded and plant.input_bounds is None else ""
     ranges = zip(plant.inputs, bounds, strict=True)
     return "".join(
         f", {symbol(plant, name)} in [{low:g}, {high:g}]".replace("inf", "∞") for name, (low, high) in ranges
     )
 
 
-def _converging(evidence: Evidence) -> list[Contender]:
-    """The contenders whose loops a panel has to show whole: the numerical predictor's, and all that end settled.
+def _converging(evaluation: EvaluationData) -> list[PredictorId]:
+    """The predictors whose loops a panel has to show whole: the numerical one, and all whose loop ends settled.
 
     A loop that is lost may leave the picture, so that the others can be distinguished.
     """
     kept = []
-    for contender, loop in evidence.loops.items():
-        target, run = evidence.plant.target(loop.t), cast(Any, loop)  # t and X of Trajectories, all that a radius takes
-        if contender == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
-            kept.append(contender)
+    for predictor, loop in evaluation.loops.items():
+        target, run = evaluation.plant.target(loop.t), cast(Any, loop)  # a radius takes only t and X of Trajectories
+        if predictor == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
+            kept.append(predictor)
     return kept
 
 
-def ends(evidence: Evidence) -> tuple[Panel, ...]:
-    """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
-    plant, config = evidence.plant, evidence.config
-    distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evidence.loops.items()}
-    proven = {c: loop for c, loop in evidence.loops.items() if np.isfinite(loop.N).any()}
-    law = delay_law.resolve(config, plant)
-    gamma = law.gamma if law else 1.0  # then no W is shown
-    W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
-    t = evidence.loops[NUMERICAL].t
-    last = "; ".join(f"{c.label} {values[-1]:.1e}" for c, values in distance.items())
-    falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
-    caption = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {gamma:g}: {falls}."
-    return (
-        Panel(with_unit("distance |X − X*|", common_unit(plant, plant.states)),
-              f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}.",
-              partial(_curves, t, distance, timed(plant, "t"))),
-        *([Panel("W(t) of the proof", caption, partial(_curves, t, W, timed(plant, "t")))] if W else []),
-    )  # fmt: skip
-
-
-def keys(contenders: Iterable[Contender]) -> tuple[Key, ...]:
-    return tuple(Key(contender.label, look(contender)) for contender in contenders)
-
-
-def _columns(loop: LoopSeries) -> np.ndarray:
-    return np.concatenate([loop.X, loop.U, loop.D_hat[:, None]], axis=1)
-
-
-def _goals(evidence: Evidence, t: np.ndarray) -> np.ndarray:
-    """Where states and inputs are to go, the input leading by D, and the true delay, (nt, n + m + 1)."""
-    plant, D = evidence.plant, np.full(len(t), evidence.config.D)
+def _goals(evaluation: EvaluationData, t: np.ndarray) -> dict[str, np.ndarray]:
+    """By name where states and inputs are to go, the input leading by D, and the true delay, (nt,) each."""
+    plant, D = evaluation.plant, np.full(len(t), evaluation.config.D)
     acts = t + D
     if plant.declares_delay:
         D, acts = (t - t) + plant.delay(plant.target(t), t), t
         for _ in range(ROUNDS):  # s = t + D(target(s), s)
             acts = t + plant.delay(plant.target(acts), acts)
     X, u = (np.broadcast_to(goal, (len(t), goal.shape[-1])) for goal in (plant.target(t), plant.u_target(acts)))
-    return np.concatenate([X, u, D[:, None]], axis=1)
-
-
-def _over_time(
-    t: np.ndarray, columns: dict[Contender, np.ndarray], k: int, goals: np.ndarray, span: tuple[float, float],
-    time: str, axis: Axes,
-) -> None:  # fmt: skip
-    for contender, series in columns.items():
-        axis.plot(t, series[:, k], **look(contender).line)
-    axis.plot(t, goals[:, k], **GOAL)
-    axis.set(xlabel=time, xlim=(t[0], t[-1]), ylim=span)
-
-
-def _curves(t: np.ndarray, curves: dict[Contender, np.ndarray], time: str, axis: Axes) -> None:
-    for contender, values in curves.items():
-        positive = np.where(np.isfinite(values) & (values > 0), values, np.nan)
-        axis.plot(t, positive, **look(contender).line)
-    axis.set(xlabel=time, xlim=(t[0], t[-1]))
-    log(axis, "y")
+    return dict(zip((*plant.states, *plant.inputs, "D_hat"), (*X.T, *u.T, D), strict=True))
 
 
 def _around(series: list[np.ndarray], others: list[np.ndarray]) -> tuple[float, float]:
@@ -170,33 +121,57 @@ def _ends(values: np.ndarray) -> tuple[float, float] | None:
     return (float(finite.min()), float(finite.max())) if len(finite) else None
 
 
-def _alt(name: str, k: int, columns: dict[Contender, np.ndarray], t: np.ndarray) -> str:
-    ends = "; ".join(f"{c.label} {values[0, k]:.4g} to {values[-1, k]:.4g}" for c, values in columns.items())
-    return f"{name} from t = 0 to {t[-1]:g}: {ends}."
+def _curves(t: np.ndarray, curves: Mapping[PredictorId, np.ndarray], time: str) -> Callable[[Axes], None]:
+    """Draws positive curves over time, on a logarithmic side."""
+
+    def draw(axis: Axes) -> None:
+        for predictor, values in curves.items():
+            axis.plot(t, positive(values), **line_of(predictor).line)
+        axis.set(xlabel=time, xlim=(t[0], t[-1]))
+        log(axis, "y")
+
+    return draw
 
 
-def coverage(evidence: Evidence) -> Plate:
+def ends(evaluation: EvaluationData) -> list[Panel]:
+    """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
+    plant, config, t = evaluation.plant, evaluation.config, evaluation.loops[NUMERICAL].t
+    distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evaluation.loops.items()}
+    last = "; ".join(f"{predictor.label} {values[-1]:.1e}" for predictor, values in distance.items())
+    title = with_unit("distance |X − X*|", common_unit(plant, plant.states))
+    alt = f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}."
+    panels = [Panel(title, alt, _curves(t, distance, timed(plant, "t")))]
+    proven = {predictor: loop for predictor, loop in evaluation.loops.items() if np.isfinite(loop.N).any()}
+    if proven:
+        law = delay_law.resolve(config, plant)
+        gamma = law.gamma if law else 1.0
+        W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
+        falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
+        alt = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {gamma:g}: {falls}."
+        panels.append(Panel("W(t) of the proof", alt, _curves(t, W, timed(plant, "t"))))
+    return panels
+
+
+def coverage(evaluation: EvaluationData) -> Figure:
     """A panel per state, an input, and the delay estimate."""
-    histograms = {quantity(evidence.plant, name): each for name, each in evidence.coverage.items()}
-    panels = [
-        Panel(f"density of {name}", f"The data cover {name} from {each.edges[0]:.4g} to {each.edges[-1]:.4g}.",
-              partial(_histogram, each))
-        for name, each in histograms.items()
-    ]  # fmt: skip
+    panels = []
+    for name, histogram in evaluation.coverage.items():
+        of, edges = quantity(evaluation.plant, name), histogram.edges
+
+        def draw(axis: Axes, histogram: Histogram = histogram) -> None:
+            axis.stairs(histogram.data, histogram.edges, fill=True, color=ROLES["fill"][0])
+            for predictor, density in histogram.loops.items():
+                line = line_of(predictor).line
+                style = {"color": line["color"], "linestyle": line["linestyle"], "linewidth": 1.0}
+                axis.stairs(density, histogram.edges, **style)
+            axis.set(xlim=(histogram.edges[0], histogram.edges[-1]))
+            log(axis, "y")
+
+        panels.append(Panel(f"density of {of}", f"The data cover {of} from {edges[0]:.4g} to {edges[-1]:.4g}.", draw))
     caption = (
         "Filled: the training data; lines: what the closed loops visit. Upwards: the share per unit of the quantity, "
-        "on a logarithmic scale. A network is only "
-        "reliable where it was trained."
+        "on a logarithmic scale. A network is only reliable where it was trained."
     )
-    marks = Key("data", Look("fill", (), 5)), *keys(next(iter(histograms.values())).loops)
-    return Plate("coverage", "Coverage of the data", caption, tuple(panels), marks)
-
-
-def _histogram(histogram: Histogram, axis: Axes) -> None:
-    edges = histogram.edges
-    axis.stairs(histogram.data, edges, fill=True, color=ROLES["fill"][0])
-    for contender, density in histogram.loops.items():
-        line = look(contender).line
-        axis.stairs(density, edges, color=line["color"], linestyle=line["linestyle"], linewidth=1.0)
-    axis.set(xlim=(edges[0], edges[-1]))
-    log(axis, "y")
+    shown = next(iter(evaluation.coverage.values())).loops
+    entries = [LegendEntry("data", LineStyle("fill", (), 5)), *legend([*shown])]
+    return Figure("coverage", "Coverage of the data", caption, panels, entries)

@@ -1,6 +1,6 @@
-"""The style of all figures: colours and lines of contenders, the sizes of papers and screens, and readable ticks."""
+"""The look of all figures: colours and lines of predictors, a page and papers, and readable ticks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
@@ -10,7 +10,7 @@ import numpy as np
 
 from npred.figures.notation import SUPERSCRIPTS, mathematics
 from npred.registry import NETWORKS
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId
 
 if TYPE_CHECKING:  # takes a second
     import matplotlib.axes
@@ -49,7 +49,7 @@ TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
 
 
 @dataclass(frozen=True)
-class Look:
+class LineStyle:
     """Colour, dash and marker of a series, in figures and in the legends of a page."""
 
     role: str
@@ -69,34 +69,37 @@ class Look:
         return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
 
 
-def look(contender: Contender) -> Look:
-    """The look of a contender: the same in every figure."""
-    if contender == NUMERICAL:
-        return Look("ink", width=1.9)
-    if contender == NO_ADAPTATION:
-        return Look("frozen", (1.2, 1.4), 1.0)
-    trained, early = colours(contender)
-    if contender.epoch is not None:
-        return Look(early, EARLY)
-    pairs, place = _place(contender)
-    return Look(trained, MORE if pairs is OTHERS and place >= len(OTHERS) else TRAINED[place % len(TRAINED)])
+DOTTED: dict[str, Any] = {"color": ROLES["muted"][0], "linewidth": 1.2, "linestyle": (0, (1, 2))}  # theory, tolerances
 
 
-def colours(network: Contender) -> tuple[str, str]:
+def line_of(predictor: PredictorId) -> LineStyle:
+    """The line of a predictor: the same in every figure."""
+    if predictor == NUMERICAL:
+        return LineStyle("ink", width=1.9)
+    if predictor == NO_ADAPTATION:
+        return LineStyle("frozen", (1.2, 1.4), 1.0)
+    trained, early = colours(predictor)
+    if predictor.epoch is not None:
+        return LineStyle(early, EARLY)
+    pairs, place = _palette(predictor)
+    return LineStyle(trained, MORE if pairs is OTHERS and place >= len(OTHERS) else TRAINED[place % len(TRAINED)])
+
+
+def colours(network: PredictorId) -> tuple[str, str]:
     """The roles of a network, trained and stopped early."""
-    pairs, place = _place(network)
+    pairs, place = _palette(network)
     return pairs[place % len(pairs)]
 
 
-def _place(network: Contender) -> tuple[tuple[tuple[str, str], ...], int]:
-    """The colours that a network takes one of, and which."""
+def _palette(network: PredictorId) -> tuple[tuple[tuple[str, str], ...], int]:
+    """The pairs of colours that a network takes one of, and which."""
     builtin = [*NETWORKS.builtin][: len(BUILTIN)]
     return (BUILTIN, builtin.index(network.model)) if network.model in builtin else (OTHERS, network.rank)
 
 
 @dataclass(frozen=True)
 class Style:
-    """A medium: width in inches, panels beside each other, points of text, its family, height of a panel."""
+    """A page or a paper: width in inches, panels beside each other, points of text, its family, height of a panel."""
 
     width: float
     columns: int
@@ -106,12 +109,11 @@ class Style:
 
 
 HANDLE = 2.4  # widths of an M: the line of a legend's entry
-SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)
-MEDIA = {
+SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # of one panel on a page
+MEDIA = {  # of all panels in a file
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
     "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
-    "page": Style(5.4, 2, 9, "DejaVu Sans", 1.9),  # of text, legible on a telephone
-    "slides": Style(12.8, 3, 15, "DejaVu Sans", 3.2),
+    "page": Style(5.4, 2, 9, "DejaVu Sans", 1.9),  # legible on a telephone
 }
 _TURN = Lock()  # matplotlib's settings are the process's
 
@@ -169,10 +171,18 @@ def log(axis: Axes, *sides: str) -> None:
         decades = np.log10(high) - np.log10(low)
         chosen = getattr(axis, f"{side}axis")
         chosen.set_major_locator(LogLocator(numticks=6, subs=(1.0,) if decades > 2 else (1.0, 2.0, 5.0)))
-        chosen.set_major_formatter(FuncFormatter(_labels(chosen.get_majorticklocs(), low, high)))
+        visible = [value for value in chosen.get_majorticklocs() if low <= value <= high]
+        # as many digits as distinguish the labels between the ends: 0.185 and 0.19
+        digits = next((d for d in range(2, 8) if len({tick(value, d) for value in visible}) == len(visible)), 2)
+        chosen.set_major_formatter(FuncFormatter(lambda value, _, digits=digits: lettered(tick(value, digits))))
         chosen.set_minor_formatter(NullFormatter())
         if decades > 6:
             chosen.set_minor_locator(NullLocator())
+
+
+def positive(values: np.ndarray) -> np.ndarray:
+    """The values for a logarithmic side: NaN, which is not drawn, for all that are not positive and finite."""
+    return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
 def lettered(text: str) -> str:
@@ -180,13 +190,6 @@ def lettered(text: str) -> str:
     import matplotlib
 
     return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
-
-
-def _labels(ticks: np.ndarray, low: float, high: float) -> Callable[[float, int], str]:
-    """The label of a tick, with as many digits as distinguish those between the ends: 0.185 and 0.19."""
-    visible = [value for value in ticks if low <= value <= high]
-    digits = next((d for d in range(2, 8) if len({tick(value, d) for value in visible}) == len(visible)), 2)
-    return lambda value, _: lettered(tick(value, digits))
 
 
 def tick(value: float, digits: int = 2) -> str:

@@ -1,4 +1,4 @@
-"""Tables as data: for a page, as CSV with all digits, and as LaTeX (booktabs)."""
+"""Tables as data: for a page (its template asks for rows and texts), a terminal, Markdown, CSV and LaTeX (booktabs)."""
 
 import csv
 import io
@@ -11,6 +11,7 @@ from typing import Any
 
 from npred.figures.notation import PLAIN, RAISED, SUBSCRIPT, plain
 from npred.figures.style import short
+from npred.terminal.console import columns
 
 LATEX = r"""% needs \usepackage{booktabs}
 \begin{tabular}{@alignment}
@@ -21,7 +22,6 @@ LATEX = r"""% needs \usepackage{booktabs}
 \bottomrule
 \end{tabular}
 """
-GREEK = re.compile("[Α-Ωα-ω]")
 SYMBOLS = {
     "{": r"\{", "}": r"\}", "^": r"\^{}", "~": r"\textasciitilde{}",  # first, for others bring them
     "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "µ": r"\textmu ", "ε": r"$\varepsilon$", "κ": r"$\kappa$",
@@ -49,7 +49,7 @@ class Column:
         return bool(self.form or self.digits)
 
     def text(self, value: Any) -> str:
-        """A value for people; a number that is not finite as ∞, and what there is none of, None, as –."""
+        """A value for people; a number that is not finite as ∞, and None, where there is no value, as –."""
         if value is None:
             return "–"
         if isinstance(value, float) and not isfinite(value):
@@ -71,44 +71,56 @@ class Table:
         """A value per column."""
         return list(zip(*(column.values for column in self.columns), strict=True))
 
+    @property
+    def texts(self) -> list[list[str]]:
+        """The cells of each row for people."""
+        return [[column.text(value) for column, value in zip(self.columns, row, strict=True)] for row in self.rows]
+
+    def terminal(self, width: int | None = None) -> str:
+        """Aligned columns, folded to a width if there is one."""
+        numbers = [plain(column.head) for column in self.columns if column.numeric]
+        cells = [[plain(text) for text in row] for row in self.texts]
+        return columns([plain(column.head) for column in self.columns], cells, width, numbers=numbers)
+
+    def markdown(self) -> str:
+        """A table of Markdown."""
+        rows = [[column.head for column in self.columns], *self.texts]
+        head, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+        rule = "".join("|---:" if column.numeric else "|---" for column in self.columns) + "|"
+        return "\n".join([head, rule, *others])
+
     def csv(self) -> str:
         """Headings and values, numbers with all their digits."""
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow([plain(column.head) for column in self.columns])
-        writer.writerows([_written(value) for value in row] for row in self.rows)
+        for row in self.rows:
+            writer.writerow(["" if v is None else plain(v) if isinstance(v, str) else v for v in row])
         return buffer.getvalue()
 
     def latex(self) -> str:
         """A booktabs table: words to the left, numbers to the right."""
-        lines = [" & ".join(map(_cell, self.columns, row)) + r" \\" for row in self.rows]
         text = LATEX.replace("@alignment", "".join("r" if column.numeric else "l" for column in self.columns))
-        text = text.replace("@heads", " & ".join(_plain(column.head) for column in self.columns))
-        return text.replace("@lines", "\n".join(lines))
+        text = text.replace("@heads", " & ".join(_latex(column.head) for column in self.columns))
+        return text.replace("@lines", "\n".join(" & ".join(map(_latex_cell, row)) + r" \\" for row in self.texts))
 
 
-def _written(value: Any) -> Any:
-    return "" if value is None else plain(value) if isinstance(value, str) else value
-
-
-def _cell(column: Column, value: Any) -> str:
-    text = column.text(value)
+def _latex_cell(text: str) -> str:
     if power := re.fullmatch("(.*)·10([⁻⁰-⁹¹²³]+)", text):
         return rf"${power[1]} \cdot 10^{{{power[2].translate(PLAIN)}}}$"
-    return {"–": "---"}.get(text, _plain(text))
+    return "---" if text == "–" else _latex(text)
 
 
-def _plain(text: str) -> str:
+def _latex(text: str) -> str:
     """The text for LaTeX; what `_{…}` lowers is set upright."""
     parts = SUBSCRIPT.split(text)  # text, subscript, text, …
-    return "".join(rf"$_{{\textrm{{{_signs(part)}}}}}$" if k % 2 else _signs(part) for k, part in enumerate(parts))
-
-
-def _signs(text: str) -> str:
-    for symbol, command in SYMBOLS.items():
-        text = text.replace(symbol, command)
-    text = RAISED.sub(lambda part: f"$^{{{part[0].translate(PLAIN)}}}$", text)
-    return GREEK.sub(_greek, text)
+    for place, part in enumerate(parts):
+        for symbol, command in SYMBOLS.items():
+            part = part.replace(symbol, command)
+        part = RAISED.sub(lambda raised: f"$^{{{raised[0].translate(PLAIN)}}}$", part)
+        part = re.sub("[Α-Ωα-ω]", _greek, part)
+        parts[place] = rf"$_{{\textrm{{{part}}}}}$" if place % 2 else part
+    return "".join(parts)
 
 
 def _greek(letter: re.Match[str]) -> str:

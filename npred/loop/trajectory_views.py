@@ -63,7 +63,13 @@ def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
 def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None) -> np.ndarray:
     """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay."""
     named = dict(series(loops))
-    axes = _panels(len(named)) if ax is None else _taken(ax, [*named])
+    if ax is None:
+        from matplotlib import pyplot
+
+        figure = pyplot.figure(figsize=_size(len(named)), layout="constrained")
+        axes = figure.subplots(len(named), 1, sharex=True, squeeze=False)[:, 0]
+    else:
+        axes = _taken(ax, [*named])
     # what has a label has one colour in all panels, the next one of matplotlib's cycle
     colour = {} if label is None else {"color": f"C{len(axes[0].get_legend_handles_labels()[1])}"}
     for panel, (name, values) in zip(axes, named.items(), strict=True):
@@ -95,14 +101,6 @@ def html(loops: "Trajectories") -> str:
     with rc_context({"svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return text + buffer.getvalue()[buffer.getvalue().index("<svg") :]
-
-
-def _panels(count: int) -> np.ndarray:
-    """Axes (count,) below each other in a new figure."""
-    from matplotlib import pyplot
-
-    figure = pyplot.figure(figsize=_size(count), layout="constrained")
-    return figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
 
 
 def _size(panels: int) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from npred.config import Training
 from npred.errors import ConfigError, unlisted
 from npred.pipeline.stage_registry import Planner, nodes
 from npred.plants import Plant
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.stages.configuration import identity
 from npred.store import Artifact, Store
 
@@ -33,7 +33,7 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | None 
     """
     store = Store(root or defaults.store())
     try:
-        asked = Contender.parse(spec)
+        asked = PredictorId.parse(spec)
     except ValueError as error:
         raise ConfigError(f"{spec}: {error}") from None
     path, colon, name = asked.model.rpartition(":")

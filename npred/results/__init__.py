@@ -1,15 +1,15 @@
-"""The results of the stages as frozen models of result.json: what each stage found, and the contenders compared."""
+"""The results of the stages as frozen models of result.json: what each stage found, and the predictors compared."""
 
 from npred.results.base import Generated, Number, Reported, Result, Trained
 from npred.results.bench import Benched
 from npred.results.certify import Certified
-from npred.results.contender import NO_ADAPTATION, NUMERICAL, Contender, ranked
 from npred.results.evaluate import Evaluated
 from npred.results.identify import IdentifiedResult
+from npred.results.predictor_id import NO_ADAPTATION, NUMERICAL, PredictorId, ranked
 from npred.results.tune import JudgedLoops, Tuned, TunedNumber
 
 __all__ = [
-    "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "Contender", "Evaluated", "Generated", "IdentifiedResult",
+    "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "PredictorId", "Evaluated", "Generated", "IdentifiedResult",
     "JudgedLoops", "Number", "Reported", "Result", "Trained", "Tuned", "TunedNumber",
     "ranked",
 ]  # fmt: skip

@@ -34,7 +34,7 @@ class CallTimes(Result):
         return self.runtime not in ("python", "compiled")
 
 
-class Rival(Result):
+class EquivalentMethod(Result):
     """A numerical method on as many steps as it needs for the network's accuracy."""
 
     predictor: str  #: its name
@@ -54,8 +54,8 @@ class Crossover(Result):
     eps_relative: Number  #: `eps_sup` over the largest P
     eps_median: Number = inf  #: its median error, as in `rows`
     network_us: float  #: microseconds per call
-    numerical: list[Rival]  #: each method of that accuracy
-    by_median: list[Rival] = []  #: each method at the network's median error
+    numerical: list[EquivalentMethod]  #: each method of that accuracy
+    by_median: list[EquivalentMethod] = []  #: each method at the network's median error
     best: str  #: the fastest of them
     best_steps: int  #: its steps
     best_us: float  #: its microseconds per call
@@ -65,7 +65,7 @@ class Crossover(Result):
     sentence: str = ""  #: the same in words
 
 
-class Foreseen(Result):
+class BreakEven(Result):
     """What `npred bench --no-networks` says before a network is trained."""
 
     plant: str  #: its name

@@ -3,7 +3,7 @@
 from typing import Annotated
 
 from npred.results.base import Number, Result
-from npred.results.contender import RANKED, Name
+from npred.results.predictor_id import RANKED, Name
 
 
 class Certificate(Result):

@@ -5,7 +5,7 @@ from typing import Annotated
 from pydantic import AliasChoices, Field
 
 from npred.results.base import Number, Result
-from npred.results.contender import RANKED, Name
+from npred.results.predictor_id import RANKED, Name
 
 
 class Relative(Result):

@@ -18,7 +18,7 @@ from npred.loop import metrics
 from npred.predictors import RK4, Predictor
 from npred.predictors.guarded import Guarded
 from npred.predictors.neural import Neural
-from npred.results import Certified, Contender
+from npred.results import Certified, PredictorId
 from npred.stages.certify import certify, rollouts
 from npred.stages.certify.table import Certify
 from npred_experiments import adversary, certificates
@@ -97,7 +97,7 @@ def test_the_gradient_climbs_through_a_network(certified):
     (task, _), _, data = certified
     from npred.stages.evaluate import networks
 
-    network = networks.load(task, Contender("deeponet"))
+    network = networks.load(task, PredictorId("deeponet"))
     inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     table = Certify(restarts=12, steps=40)
     calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)
@@ -172,7 +172,7 @@ def test_bounds_of_known_errors(monkeypatch):
 
 def test_the_worst_calls_are_kept_the_worst_first(tmp_path):
     X = np.arange(6.0)[:, None]
-    calls = {Contender("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))}
+    calls = {PredictorId("fno"): ((X, *CALLS[1:]), np.array([1, 5, 2, np.nan, 4, 3.0]))}
     certificates.write_worst(tmp_path / "worst.h5", calls)
     with h5py.File(tmp_path / "worst.h5") as file:
         assert file["fno/X"][:5, 0].tolist() == [1, 4, 5, 2, 0] and file["fno/error"][0] == 5.0

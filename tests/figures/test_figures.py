@@ -1,4 +1,4 @@
-"""The figures: one look a contender, the same bytes for the same data, SVG that a page can hold."""
+"""The figures: one look a predictor, the same bytes for the same data, SVG that a page can hold."""
 
 import re
 from dataclasses import replace
@@ -7,20 +7,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Canvas
 from result_samples import MAP, RADIUS, scores, timing
 
 from npred import config, figures, plants
-from npred.figures import accuracy, svg
-from npred.figures.evaluation_data import ErrorArrays, Evidence, Histogram, LoopSeries
-from npred.figures.figure import Key, Panel, Plate, write
-from npred.figures.style import MEDIA, ROLES, SCREEN, Look, colours, log, look, medium
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender, ranked
+from npred.figures import accuracy
+from npred.figures.evaluation_data import ErrorArrays, EvaluationData, Histogram, LoopSeries
+from npred.figures.figure import Figure, LegendEntry, Panel, inline, write
+from npred.figures.style import MEDIA, ROLES, SCREEN, LineStyle, colours, line_of, log, medium
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId, ranked
 from npred.results.evaluate import Conditions, Scores
 
 SVG = "{http://www.w3.org/2000/svg}"
-NAMES = tuple(map(Contender.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
-DEEPONET, FNO = Contender("deeponet"), Contender("fno")
+NAMES = tuple(map(PredictorId.parse, ("numerical", "no_adaptation", "deeponet@2", "deeponet", "fno")))
+DEEPONET, FNO = PredictorId("deeponet"), PredictorId("fno")
 
 
 def row(number: int, lost: bool = False) -> Scores:
@@ -30,7 +30,7 @@ def row(number: int, lost: bool = False) -> Scores:
     return scores(eps_kappa=eps, eps_sup=eps, radius=radius, map=cells)
 
 
-def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
+def found(plant: str = "activator_repressor", lost: bool = False) -> EvaluationData:
     """Five loops that decay, or whose networks are lost, and the errors of three networks."""
     made = plants.resolve(plant)
     t, rng = np.linspace(0, 10, 101), np.random.default_rng(1)
@@ -48,7 +48,7 @@ def found(plant: str = "activator_repressor", lost: bool = False) -> Evidence:
     covered = {name: Histogram(edges, np.ones(10), density) for name in (*made.states, *made.inputs, "D_hat")}
     models = {name: row(k, lost and name == DEEPONET) for k, name in enumerate(NAMES)}
     evaluate = config.parse({"plant": plant, "evaluate": {"X0": [0.5] * made.n}}, "test").evaluate
-    return Evidence(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
+    return EvaluationData(made, evaluate, models, 110.0, loops, X, D_hat, errors, covered, by_kind)
 
 
 KINDS = (
@@ -57,32 +57,33 @@ KINDS = (
 
 
 def test_a_contender_looks_the_same_everywhere_and_like_no_other():
-    looks = {name: (look(name).role, look(name).dash) for name in NAMES}
+    looks = {name: (line_of(name).role, line_of(name).dash) for name in NAMES}
     assert len(set(looks.values())) == len(NAMES)
-    for plate in (kind(found()) for kind in KINDS):
-        for key in plate.keys:
+    for figure in (kind(found()) for kind in KINDS):
+        for key in figure.legend:
             for name in NAMES:
                 if key.label == name.label:
-                    assert key.look == look(name)
+                    assert key.style == line_of(name)
 
 
 def test_networks_of_any_name_look_like_no_other_and_no_numerical_predictor():
-    numerical = {"ink", "muted", "green", "frozen", look(NUMERICAL).role, look(NO_ADAPTATION).role}
+    numerical = {"ink", "muted", "green", "frozen", line_of(NUMERICAL).role, line_of(NO_ADAPTATION).role}
     names = ("mine", "my_net", "green", "published", "averaging", "gru", "deeponet", "fno")
-    contenders = ranked(Contender(name, epoch) for name in names for epoch in (None, 7))
-    assert len({(look(contender).role, look(contender).dash) for contender in contenders[:4]}) == 4
+    predictors = ranked(PredictorId(name, epoch) for name in names for epoch in (None, 7))
+    assert len({(line_of(predictor).role, line_of(predictor).dash) for predictor in predictors[:4]}) == 4
     assert (
-        len({(look(contender).role, look(contender).dash) for contender in contenders if contender.epoch is None}) == 8
+        len({(line_of(predictor).role, line_of(predictor).dash) for predictor in predictors if predictor.epoch is None})
+        == 8
     )
-    assert not {role for contender in contenders for role in colours(contender)} & numerical
-    assert [ranked([contender])[0].rank for contender in contenders] == [0] * len(contenders)
+    assert not {role for predictor in predictors for role in colours(predictor)} & numerical
+    assert [ranked([predictor])[0].rank for predictor in predictors] == [0] * len(predictors)
 
 
 def test_the_runtimes_of_two_networks_of_ones_own_can_be_told_apart():
     rows = [timing(name, "torch", copies=copies) for name in ("mine", "yours") for copies in (None, True)]
-    keys = {key.label: key.look for key in figures.speed([*rows, timing("rk4")]).keys}
+    keys = {key.label: key.style for key in figures.speed([*rows, timing("rk4")]).legend}
     assert list(keys)[:2] == ["RK4", "mine, torch"] and len(keys) == len(set(keys.values())) == 5
-    assert keys["mine, torch"].role == look(ranked(map(Contender, ("mine", "yours")))[0]).role
+    assert keys["mine, torch"].role == line_of(ranked(map(PredictorId, ("mine", "yours")))[0]).role
 
 
 def test_colours_are_as_many_as_roles_on_light_and_on_dark():
@@ -92,44 +93,44 @@ def test_colours_are_as_many_as_roles_on_light_and_on_dark():
 
 @pytest.mark.parametrize(("plant", "lost"), [("activator_repressor", False), ("scalar", True), ("planar_arm2", True)])
 def test_every_figure_of_every_plant_can_be_drawn_and_is_told_in_words(plant, lost):
-    evidence = found(plant, lost)
+    evaluation = found(plant, lost)
     for kind in KINDS:
-        plate = kind(evidence)
-        assert plate.caption.endswith(".") and plate.title
-        for panel in plate.panels:
+        figure = kind(evaluation)
+        assert figure.caption.endswith(".") and figure.title
+        for panel in figure.panels:
             assert len(panel.alt) > len(panel.title) and "nan" not in panel.title
-            ElementTree.fromstring(svg.inline(panel, "p"))
+            ElementTree.fromstring(inline(panel, "p"))
 
 
 def test_figure_1_has_a_panel_a_quantity_and_the_differences_of_loops_that_lie_on_each_other():
-    evidence, quantities = found(), ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)"]
-    assert [panel.title for panel in figures.figure1(evidence).panels] == quantities  # all loops are the same
-    apart = replace(evidence.loops[FNO], X=evidence.loops[FNO].X + np.array([3e-7, 4e-7]))
-    plate = figures.figure1(replace(evidence, loops=evidence.loops | {FNO: apart}))
-    assert [panel.title for panel in plate.panels] == [*quantities, "difference from the numerical loop"]
-    axis = Figure().subplots()
-    plate.panels[-1].draw(axis)
+    evaluation, quantities = found(), ["x_{1}", "x_{2}", "U", "delay estimate D̂ (s)"]
+    assert [panel.title for panel in figures.figure1(evaluation).panels] == quantities  # all loops are the same
+    apart = replace(evaluation.loops[FNO], X=evaluation.loops[FNO].X + np.array([3e-7, 4e-7]))
+    figure = figures.figure1(replace(evaluation, loops=evaluation.loops | {FNO: apart}))
+    assert [panel.title for panel in figure.panels] == [*quantities, "difference from the numerical loop"]
+    axis = Canvas().subplots()
+    figure.panels[-1].draw(axis)
     (line,) = axis.lines
     np.testing.assert_allclose(np.asarray(line.get_ydata()), 5e-7, rtol=1e-6)
-    assert plate.caption.endswith("differ from the numerical loop by at most: FNO 5.0·10⁻⁷.")
+    assert figure.caption.endswith("differ from the numerical loop by at most: FNO 5.0·10⁻⁷.")
 
 
 def test_the_loop_within_other_bounds_is_a_figure_of_its_own_and_both_say_what_u_may_be():
-    evidence = found()
-    assert figures.figure1_bounded(evidence) is None and "without bounds" not in figures.figure1(evidence).caption
-    within = {name: replace(loop, U=loop.U * 0) for name, loop in evidence.loops.items()}
-    config = evidence.config.model_copy(update={"figure_bounds": [(0.0, np.inf)]})
-    both = replace(evidence, config=config, bounded=within)
-    plate, free = figures.figure1_bounded(both), figures.figure1(both)
-    assert plate and (plate.name, free.name) == ("figure1_bounded", "figure1")
-    assert "U in [0, ∞]" in plate.caption and "U without bounds" in free.caption
-    U = [panel.alt for panel in plate.panels if panel.title == "U"]
+    evaluation = found()
+    assert figures.figure1_bounded(evaluation) is None and "without bounds" not in figures.figure1(evaluation).caption
+    within = {name: replace(loop, U=loop.U * 0) for name, loop in evaluation.loops.items()}
+    config = evaluation.config.model_copy(update={"figure_bounds": [(0.0, np.inf)]})
+    both = replace(evaluation, config=config, bounded=within)
+    figure, free = figures.figure1_bounded(both), figures.figure1(both)
+    assert figure and (figure.name, free.name) == ("figure1_bounded", "figure1")
+    assert "U in [0, ∞]" in figure.caption and "U without bounds" in free.caption
+    U = [panel.alt for panel in figure.panels if panel.title == "U"]
     assert U and "numerical 0 to 0" in U[0] and "numerical 0 to 0" not in free.panels[2].alt
 
 
 def test_the_density_of_the_coverage_has_an_axis_with_numbers():
     for panel in figures.coverage(found()).panels:
-        axis = Figure().subplots()
+        axis = Canvas().subplots()
         panel.draw(axis)
         axis.figure.draw_without_rendering()
         assert [label for label in axis.get_yticklabels() if label.get_visible() and label.get_text()]
@@ -137,25 +138,25 @@ def test_the_density_of_the_coverage_has_an_axis_with_numbers():
 
 
 def limits(panel: Panel) -> tuple[float, float]:
-    axis = Figure().subplots()
+    axis = Canvas().subplots()
     panel.draw(axis)
     return axis.get_ylim()
 
 
 def test_a_panel_of_the_loop_covers_every_loop_that_converges_and_the_true_delay():
-    evidence = found()
-    far, lost = replace(evidence.loops[FNO]), replace(evidence.loops[DEEPONET])
+    evaluation = found()
+    far, lost = replace(evaluation.loops[FNO]), replace(evaluation.loops[DEEPONET])
     far.X[3, 0], far.D_hat[5], lost.X[3:, 0] = 7.0, 2.9, 50.0
-    loops = evidence.loops | {FNO: far, DEEPONET: lost}
-    states = evidence.plant.states
-    config = evidence.config.model_copy(update={"D": 0.2})
-    panels = figures.figure1(replace(evidence, loops=loops, config=config)).panels
+    loops = evaluation.loops | {FNO: far, DEEPONET: lost}
+    states = evaluation.plant.states
+    config = evaluation.config.model_copy(update={"D": 0.2})
+    panels = figures.figure1(replace(evaluation, loops=loops, config=config)).panels
     low, high = limits(panels[0])
     assert 7 < high < 20  # the lost loop's 50 leave the picture
     low, high = limits(panels[len(states) + 1])
     assert low < 0.2 and high > 2.9
     near = replace(lost, X=np.where(lost.X == 50.0, 12.0, lost.X))  # a cycle, say: it stays in the picture
-    panels = figures.figure1(replace(evidence, loops=loops | {DEEPONET: near}, config=config)).panels
+    panels = figures.figure1(replace(evaluation, loops=loops | {DEEPONET: near}, config=config)).panels
     assert limits(panels[0])[1] > 12.0
 
 
@@ -173,50 +174,52 @@ def test_titles_say_versus():
 
 
 def test_the_functional_of_the_proof_is_left_out_where_nothing_adapts():
-    evidence = found()
-    assert "W(t) of the proof" in [panel.title for panel in figures.certificate(evidence).panels]
-    frozen = {name: replace(loop, N=np.full_like(loop.N, np.nan)) for name, loop in evidence.loops.items()}
-    panels = figures.certificate(replace(evidence, loops=frozen)).panels
+    evaluation = found()
+    assert "W(t) of the proof" in [panel.title for panel in figures.certificate(evaluation).panels]
+    frozen = {name: replace(loop, N=np.full_like(loop.N, np.nan)) for name, loop in evaluation.loops.items()}
+    panels = figures.certificate(replace(evaluation, loops=frozen)).panels
     assert [panel.title for panel in panels] == ["radius versus ε_{κ}", "distance |X − X*|"]
     for panel in panels:
-        ElementTree.fromstring(svg.inline(panel, "p"))
+        ElementTree.fromstring(inline(panel, "p"))
 
 
 def test_the_line_of_theory_is_left_out_where_nothing_bounds_the_radius():
     bounded, unbounded = figures.certificate(found()), figures.certificate(replace(found(), gain=np.inf))
     assert "110 ε" in bounded.caption and "ε" not in unbounded.caption
-    assert len(unbounded.keys) == len(bounded.keys) - 1
-    ElementTree.fromstring(svg.inline(unbounded.panels[0], "p"))
+    assert len(unbounded.legend) == len(bounded.legend) - 1
+    ElementTree.fromstring(inline(unbounded.panels[0], "p"))
 
 
 def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is_lost():
-    evidence = found(lost=True)
-    alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evidence).panels}
+    evaluation = found(lost=True)
+    alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evaluation).panels}
     assert set(alts) == {"numerical", "no adaptation", "DeepONet", "FNO"}
     assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
-    titles = [panel.title for panel in figures.delays(evidence).panels]
+    titles = [panel.title for panel in figures.delays(evaluation).panels]
     assert titles == ["numerical: 6 of 6", "no adaptation: 6 of 6", "DeepONet: 3 of 6", "FNO: 6 of 6"]
     assert (
         figures.delays(
-            replace(evidence, models={n: s.model_copy(update={"map": None}) for n, s in evidence.models.items()})
+            replace(evaluation, models={n: s.model_copy(update={"map": None}) for n, s in evaluation.models.items()})
         )
         is None
     )
 
 
 def test_each_kind_of_held_out_row_has_a_panel_where_there_are_several():
-    evidence = found()
-    plate = figures.kinds(evidence)
-    assert [panel.title for panel in plate.panels] == [
+    evaluation = found()
+    figure = figures.kinds(evaluation)
+    assert [panel.title for panel in figure.panels] == [
         "nominal rollouts",
         "exploring rollouts",
         "rows with a redrawn D̂",
     ]
-    assert "largest" in plate.panels[1].alt and f"{evidence.kinds['exploring'][FNO].max():.2g}" in plate.panels[1].alt
-    assert "held-out samples of nominal rollouts" in figures.errors(evidence).caption
-    exact = {kind: dict.fromkeys(sup, np.zeros(9)) for kind, sup in evidence.kinds.items()}
-    ElementTree.fromstring(svg.inline(figures.kinds(replace(evidence, kinds=exact)).panels[0], "p"))
-    imported = replace(evidence, kinds={"imported": evidence.kinds["nominal"]})
+    assert (
+        "largest" in figure.panels[1].alt and f"{evaluation.kinds['exploring'][FNO].max():.2g}" in figure.panels[1].alt
+    )
+    assert "held-out samples of nominal rollouts" in figures.errors(evaluation).caption
+    exact = {kind: dict.fromkeys(sup, np.zeros(9)) for kind, sup in evaluation.kinds.items()}
+    ElementTree.fromstring(inline(figures.kinds(replace(evaluation, kinds=exact)).panels[0], "p"))
+    imported = replace(evaluation, kinds={"imported": evaluation.kinds["nominal"]})
     assert figures.kinds(imported) is None and "of the imported data" in figures.box(imported).caption
 
 
@@ -231,7 +234,7 @@ def test_subscripts_of_a_panel_are_spans_below_the_line():
     def draw(axis):
         axis.set(xlabel="ε_{κ} and x_{1} (m)", ylabel="T_{out}")
 
-    root = ElementTree.fromstring(svg.inline(Panel("radius versus ε_{κ}", "ε_{κ} is 1.", draw), "a"))
+    root = ElementTree.fromstring(inline(Panel("radius versus ε_{κ}", "ε_{κ} is 1.", draw), "a"))
     texts = {"".join(text.itertext()): text for text in root.iter(f"{SVG}text")}
     spans = [(span.text, span.get("font-size")) for span in texts["εκ and x1 (m)"]]
     assert spans == [("κ", "72%"), (" and x", None), ("1", "72%"), (" (m)", None)]
@@ -243,7 +246,7 @@ def test_a_panel_on_a_page_follows_its_colours_and_names_only_its_own_parts():
     def draw(axis):
         axis.plot([0.001, 2], [1, 3], color=ROLES["blue"][0], marker="o")
 
-    text = svg.inline(Panel("rise", "It goes up & up.", draw), "a")
+    text = inline(Panel("rise", "It goes up & up.", draw), "a")
     root = ElementTree.fromstring(text)
     assert "var(--blue)" in text and "var(--muted)" in text
     assert not re.findall("#[0-9a-f]{6}", text) and "DejaVu" not in text
@@ -252,16 +255,16 @@ def test_a_panel_on_a_page_follows_its_colours_and_names_only_its_own_parts():
     assert used <= names and all(name.startswith("a-") for name in names)
     assert root.get("role") == "img" and root.get("aria-labelledby") == "a-title a-desc"
     assert [root.find(f"{SVG}{tag}").text for tag in ("title", "desc")] == ["rise", "It goes up & up."]
-    assert svg.inline(Panel("rise", "It goes up & up.", draw), "a") == text
+    assert inline(Panel("rise", "It goes up & up.", draw), "a") == text
 
 
 @pytest.mark.parametrize("medium", MEDIA)
 def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, medium):
     panel = Panel("error ε over D̂", "A line.", lambda axis: axis.loglog([1e-5, 1], [1e-9, 1]))
-    plate = Plate("some", "Some", "Some.", (panel, panel), (Key("line", Look("ink")),))
+    figure = Figure("some", "Some", "Some.", (panel, panel), (LegendEntry("line", LineStyle("ink")),))
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        write(plate, tmp_path / name, MEDIA[medium], ("svg", "pdf", "png"))
+        write(figure, tmp_path / name, MEDIA[medium], ("svg", "pdf", "png"))
     for form in ("svg", "pdf", "png"):
         assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"b/some.{form}").read_bytes()
     assert f'width="{MEDIA[medium].width * 72:g}pt"' in (tmp_path / "a/some.svg").read_text()
@@ -282,7 +285,7 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
         gone.set()
 
     def plain(name):
-        write(Plate("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
+        write(Figure("some", "Some", "Some.", (Panel("b", "B.", lambda axis: axis.plot([1, 0])),)), room(name))
 
     def room(name):
         (tmp_path / name).mkdir()
@@ -290,9 +293,9 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
 
     thread = Thread(target=other)
     thread.start()
-    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["slides"])
+    write(Figure("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("a"), MEDIA["page"])
     thread.join()
-    write(Plate("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["slides"])
+    write(Figure("some", "Some", "Some.", (Panel("a", "A.", draw),)), room("again"), MEDIA["page"])
     plain("b again")
     for form in ("svg", "png"):
         assert (tmp_path / f"a/some.{form}").read_bytes() == (tmp_path / f"again/some.{form}").read_bytes()
@@ -304,7 +307,7 @@ def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
 )
 def test_ticks_of_a_logarithmic_side_have_labels_of_their_own(span):
     with medium(SCREEN):
-        axis = Figure().subplots()
+        axis = Canvas().subplots()
         axis.plot(span, span)
         log(axis, "y")
         labels = [axis.yaxis.get_major_formatter()(value) for value in axis.get_yticks()]
@@ -315,33 +318,33 @@ def test_drawing_leaves_the_settings_of_matplotlib_alone(tmp_path):
     import matplotlib
 
     before = dict(matplotlib.rcParams)
-    svg.inline(figures.figure1(found()).panels[0], "p")
+    inline(figures.figure1(found()).panels[0], "p")
     assert dict(matplotlib.rcParams) == before
 
 
 def test_a_training_of_one_epoch_is_seen_as_a_point():
     row = {"epoch": 1, "loss": 0.1, "mse": 0.01, "eps_sup": 0.2}
-    plate = figures.learning({FNO: [row], DEEPONET: [row, row | {"epoch": 2}]})
-    for panel in plate.panels:
-        axis = Figure().subplots()
+    figure = figures.learning({FNO: [row], DEEPONET: [row, row | {"epoch": 2}]})
+    for panel in figure.panels:
+        axis = Canvas().subplots()
         panel.draw(axis)
         assert [line.get_marker() for line in axis.lines] == ["o", "None"]
 
 
 def test_learning_tells_where_each_network_began_and_ended():
     histories = {FNO: [{"epoch": k, "loss": 1.0 / k, "mse": 0.1 / k, "eps_sup": 2.0 / k} for k in (1, 2, 4)]}
-    plate = figures.learning(histories)
-    assert [panel.title for panel in plate.panels] == ["training loss", "held-out mean square", "held-out sup error ε"]
-    assert plate.panels[2].alt == "held-out sup error ε: FNO 2.00e+00 to 5.00e-01 in 3 epochs."
+    figure = figures.learning(histories)
+    assert [panel.title for panel in figure.panels] == ["training loss", "held-out mean square", "held-out sup error ε"]
+    assert figure.panels[2].alt == "held-out sup error ε: FNO 2.00e+00 to 5.00e-01 in 3 epochs."
 
 
 def test_speed_draws_finite_rows_of_batch_one():
     rows = [timing(name, dx=dx, eps_sup=dx) for name in ("rk4", "euler") for dx in (0.1, 0.01)]
     rows += [timing("fno", "fused", eps_sup=None)]
-    plate = figures.speed(rows)
-    assert [key.label for key in plate.keys] == ["Euler", "RK4"]
-    for panel in plate.panels:
-        ElementTree.fromstring(svg.inline(panel, "p"))
+    figure = figures.speed(rows)
+    assert [key.label for key in figure.legend] == ["Euler", "RK4"]
+    for panel in figure.panels:
+        ElementTree.fromstring(inline(panel, "p"))
 
 
 def test_speed_leaves_out_of_the_front_what_predicts_nothing():
@@ -359,7 +362,7 @@ def test_speed_leaves_out_of_the_front_what_predicts_nothing():
 def test_no_line_of_latency_against_error_turns_back_and_every_grid_has_a_mark():
     times = {0.2: (1.0, 0.5), 0.1: (2.0, 1e-3), 0.05: (4.5, 9e-7), 0.02: (8.0, 3e-5), 0.01: (36.0, 1.4e-6)}
     rows = [timing("rk4", dx=dx, us=us, eps_sup=eps) for dx, (us, eps) in times.items()]
-    axis = Figure().subplots()
+    axis = Canvas().subplots()
     figures.speed(rows).panels[0].draw(axis)
     marks, line = axis.lines
     assert sorted(zip(marks.get_ydata(), marks.get_xdata(), strict=True)) == sorted(times.values())
@@ -372,11 +375,11 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
     wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "lost": 3, "D_error": None}
     rows = [("noise", does, does), ("jump", does, wild)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": a, "fno": b}}, "t") for name, a, b in rows]
-    plate = figures.scenarios(plants.resolve("scalar"), conditions)
-    assert plate is not None and "Lost loops: numerical 2, FNO 4." in plate.caption
-    assert plate.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
-    axis = Figure().add_subplot()
-    for panel in plate.panels:
+    figure = figures.scenarios(plants.resolve("scalar"), conditions)
+    assert figure is not None and "Lost loops: numerical 2, FNO 4." in figure.caption
+    assert figure.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
+    axis = Canvas().add_subplot()
+    for panel in figure.panels:
         axis.clear()
         panel.draw(axis)
         exact, _, network, _ = (line.get_xdata() for line in axis.lines)
@@ -391,9 +394,9 @@ def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_the
     exact = does | {"radius": does["radius"] | {"worst": 1e-12}}
     rows = [("noise 0", exact), ("noise", does)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": one}}, "t") for name, one in rows]
-    plate = figures.scenarios(plants.resolve("scalar"), conditions)
-    axes = [Figure().add_subplot() for _ in plate.panels]
-    for panel, axis in zip(plate.panels, axes, strict=True):
+    figure = figures.scenarios(plants.resolve("scalar"), conditions)
+    axes = [Canvas().add_subplot() for _ in figure.panels]
+    for panel, axis in zip(figure.panels, axes, strict=True):
         panel.draw(axis)
     (mark, arrow), (zero, none) = ([line.get_xdata() for line in axis.lines] for axis in (axes[0], axes[2]))
     assert arrow[0] == pytest.approx(2e-5) and np.isnan(mark[0]) and mark[1] == 0.2 and np.isnan(arrow[1])
@@ -402,5 +405,5 @@ def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_the
 
 def test_two_networks_on_one_line_are_both_seen():
     """The dash of the second ends before that of the first, which ends before both start again."""
-    first, second = (look(Contender(name)).dash for name in ("deeponet", "fno"))
+    first, second = (line_of(PredictorId(name)).dash for name in ("deeponet", "fno"))
     assert second[0] < first[0] < sum(first) == pytest.approx(sum(second))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure as Canvas
 from typer.testing import CliRunner
 
 import npred
@@ -10,9 +10,9 @@ from npred import figures
 from npred.cli import app
 
 
-def drawn(plate):
-    axis = Figure().subplots()
-    plate.panels[0].draw(axis)
+def drawn(figure):
+    axis = Canvas().subplots()
+    figure.panels[0].draw(axis)
     return max((line.get_xydata() for line in axis.lines), key=len)
 
 

@@ -11,8 +11,8 @@ from npred import grid
 from npred.config import Bench
 from npred.kernels.kernel import bound
 from npred.predictors import RK4, OneStep, Predictor
-from npred.results.bench import CallTimes, Crossover, Rival
-from npred.stages.bench import sentences, timing
+from npred.results.bench import CallTimes, Crossover, EquivalentMethod
+from npred.stages.bench import timing, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.stages.job import Job
 
@@ -30,68 +30,68 @@ def measure(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference: R
     crossovers = []
     for name in sorted(set(job.config.train.models)):
         timings = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
-        rivals = [entry for entry, _ in single if entry.matches == name]
-        if timings and rivals:
+        methods = [entry for entry, _ in single if entry.matches == name]
+        if timings and methods:
             network, row = min(timings, key=lambda pair: pair[1].median_us)
             eps = ErrorSizes(row.eps_sup, row.eps_median)
-            crossovers.append(crossover(job.config.bench, network, eps, rivals, reference))
+            crossovers.append(crossover(job.config.bench, network, eps, methods, reference))
     return crossovers
 
 
 def crossover(
-    config: Bench, network: Candidate, eps: ErrorSizes, rivals: list[Candidate], reference: Reference
+    config: Bench, network: Candidate, eps: ErrorSizes, methods: list[Candidate], reference: Reference
 ) -> Crossover:
-    """All timed in turn. pays_from_ns: the cost of f at which the rival's steps take as long as the network, 0 where
-    they do without f.
+    """All timed in turn. pays_from_ns: the cost of f at which the steps of the fastest method take as long as the
+    network, 0 where they do without f.
     """
     plant = reference.plant
-    typical = [_by_median(entry, reference, eps.median) for entry in rivals]
-    contenders = (network, *rivals, *(entry for entry in typical if entry))
-    runs = {entry.label: entry.run for entry in contenders} | {str(k): RK4(plant, k + 1) for k in STEPS}
+    typical = [_by_median(entry, reference, eps.median) for entry in methods]
+    timed = (network, *methods, *(entry for entry in typical if entry))
+    runs = {entry.label: entry.run for entry in timed} | {str(k): RK4(plant, k + 1) for k in STEPS}
     calls = {label: call(reference, run) for label, run in runs.items()}
     times = timing.sample(calls, config.calls, config.seconds)
     median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
     few, many = (median[str(k)] for k in STEPS)
     f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
-    best = min(rivals, key=lambda entry: median[entry.label])
+    best = min(methods, key=lambda entry: median[entry.label])
     network_us, best_us = median[network.label], median[best.label]
     evaluations = _evaluations(best) or 1000 * best_us / f_ns
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     measured = Crossover(
         plant=plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=eps.sup,
         eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
-        network_us=network_us, numerical=[_rival(e, median, reference) for e in rivals],
-        by_median=[_rival(e, median, reference) for e in typical if e],
+        network_us=network_us, numerical=[_equivalent(e, median, reference) for e in methods],
+        by_median=[_equivalent(e, median, reference) for e in typical if e],
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return measured.model_copy(update={"sentence": sentences.network_pays(measured, 1 / (network.nx - 1))})
+    return measured.model_copy(update={"sentence": timing_tables.network_pays(measured, 1 / (network.nx - 1))})
 
 
-def _by_median(rival: Candidate, reference: Reference, eps: float) -> Candidate | None:
+def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
     """The same method on as many steps as it needs for that median error."""
-    kind: Any = type(rival.run)
+    kind: Any = type(method.run)
     nodes = matching(reference, kind, eps, by="median")
-    run = kind(rival.run.plant, nodes) if nodes else None
-    return run and replace(rival, nx=nodes, run=run, matches=f"{rival.matches}, median")
+    run = kind(method.run.plant, nodes) if nodes else None
+    return run and replace(method, nx=nodes, run=run, matches=f"{method.matches}, median")
 
 
-def _rival(entry: Candidate, median_us: dict[str, float], reference: Reference) -> Rival:
+def _equivalent(entry: Candidate, median_us: dict[str, float], reference: Reference) -> EquivalentMethod:
     errors = reference.of_method(entry.run, entry.nx)
-    return Rival(
+    return EquivalentMethod(
         predictor=entry.predictor, steps=entry.nx - 1, median_us=median_us[entry.label], eps_sup=errors.sup,
         eps_median=errors.median,
     )  # fmt: skip
 
 
-def _evaluations(rival: Candidate) -> int | None:
+def _evaluations(method: Candidate) -> int | None:
     """The evaluations of f in a call; None where all of it grows with f: an implicit step's derivatives and matrix, and
     what a simulator does.
     """
-    run = rival.run
+    run = method.run
     if not isinstance(run, OneStep) or hasattr(run.step, "whole"):
         return None
-    return run.evaluations() * (rival.nx - 1)
+    return run.evaluations() * (method.nx - 1)
 
 
 def call(reference: Reference, run: Predictor) -> Callable[[int], None]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import array_checks
 from npred.errors import ConfigError
-from npred.figures.style import short
+from npred.figures.table import Column, Table
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.loop.trajectory_views import pandas
@@ -18,7 +18,6 @@ from npred.plants.base import require
 from npred.predictors import RK4, Predictor
 from npred.stages.bench import break_even, timing
 from npred.stages.bench.candidates import PROBES, ErrorSizes, Reference
-from npred.terminal.console import columns
 from npred.terminal.notebook import InNotebook
 
 CALLS, SECONDS = 2000, 0.5  # of a predictor that are timed: so many, or as many as take so long
@@ -52,13 +51,16 @@ class Comparison(InNotebook):
     time_unit: str = "s"
 
     def __repr__(self) -> str:
-        head = ["predictor", "µs", "ε sup", "ε median", "radius", "converged", f"settles ({self.time_unit})"]
-        rows = [
-            [r.predictor, f"{r.us:.1f}", *map(short, (r.eps_sup, r.eps_median, r.radius)), f"{r.converged:.0%}",
-             short(r.settle_time, 3)]
-            for r in self.rows
-        ]  # fmt: skip
-        return columns(head, rows, numbers=head[1:])
+        columns = [
+            Column("predictor", [row.predictor for row in self.rows]),
+            Column("µs", [row.us for row in self.rows], ".1f"),
+            Column("ε sup", [row.eps_sup for row in self.rows], digits=2),
+            Column("ε median", [row.eps_median for row in self.rows], digits=2),
+            Column("radius", [row.radius for row in self.rows], digits=2),
+            Column("converged", [row.converged for row in self.rows], ".0%"),
+            Column(f"settles ({self.time_unit})", [row.settle_time for row in self.rows], digits=3),
+        ]
+        return Table("compared", "Predictors side by side", columns).terminal()
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame: a row for each predictor, the fields of Compared as columns. Raises MissingError."""

@@ -10,9 +10,9 @@ from npred.errors import ConfigError
 from npred.figures.style import short
 from npred.operators.weights import untrained
 from npred.plants import Plant
-from npred.results.bench import Crossover, Foreseen
+from npred.results.bench import BreakEven, Crossover
 from npred.runtimes.fused import Fused
-from npred.stages.bench import break_even, candidates, sentences
+from npred.stages.bench import break_even, candidates, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.generate import rollouts
 from npred.terminal.console import columns
@@ -25,7 +25,7 @@ TRACED, CALLED = (24, 120), (4, 20)  # loops and samples; a plant that is called
 CALLS, SECONDS = 2000, 0.2
 
 
-def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
+def measure(pipeline: Pipeline, plant: Plant) -> BreakEven:
     """Untrained weights of the network's sizes, timed in turn with each method on the fewest steps of each error.
 
     Samples come from short loops of [generate], and nothing is stored. Raises ConfigError for a pipeline that its plant
@@ -49,7 +49,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> Foreseen:
             todo = f"got {', '.join(methods) or 'none'}; name one in generate"
             raise ConfigError(f"bench: expected a method whose error is {short(eps)}, {todo}")
         crossovers.append(break_even.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
-    return Foreseen(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
+    return BreakEven(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
 
 
 def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
@@ -87,10 +87,10 @@ def _share(crossover: Crossover) -> str:
 
 
 def _method(crossover: Crossover) -> str:
-    return sentences.method_on(crossover.best, crossover.best_steps)
+    return timing_tables.method_on(crossover.best, crossover.best_steps)
 
 
-def summary(result: Foreseen, width: int | None = None) -> str:
+def summary(result: BreakEven, width: int | None = None) -> str:
     """What was assumed, a table, and the sentence."""
     rows = [
         [row.predictor, f"{row.steps}", f"{1 / row.steps:.3g}", f"{row.median_us:.1f}", short(row.eps_sup)]

@@ -14,7 +14,7 @@ from npred.parallel import devices
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded
-from npred.results import Certified, Contender
+from npred.results import Certified, PredictorId
 from npred.results.certify import Certificate
 from npred.stages.certify import rollouts
 from npred.stages.certify.rollouts import Rollouts
@@ -39,7 +39,7 @@ def run(job: Job) -> Certified:
     exact, guard_table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
         contender: Guarded(networks.load(job, contender), exact=exact, **dict(guard_table))
-        for contender in map(Contender, job.config.train.models)
+        for contender in map(PredictorId, job.config.train.models)
     }
     by_rollout = rollouts.judge(job, guards, exact)
     loops = _loops(job, exact)

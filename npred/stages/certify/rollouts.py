@@ -19,7 +19,7 @@ from npred.delays import family_of
 from npred.loop import metrics
 from npred.predictors import OneStep, Predictor
 from npred.predictors.guarded import Guarded
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.stages.certify.table import Certify
 from npred.stages.evaluate.accuracy import ROWS
 from npred.stages.generate import generate
@@ -44,11 +44,11 @@ class Rollouts(NamedTuple):
     fallback: float  # share of the samples that a guard answers
 
 
-def judge(job: Job, guarded: Mapping[Contender, Guarded], exact: Predictor) -> dict[Contender, Rollouts]:
+def judge(job: Job, guarded: Mapping[PredictorId, Guarded], exact: Predictor) -> dict[PredictorId, Rollouts]:
     """Fresh rollouts, N of them, by network."""
     table = job.config.optional("certify")
     number = count(table.probability, table.confidence)
-    parts: dict[Contender, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
+    parts: dict[PredictorId, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
     for start, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
         X, u, D_hat, t = (rows[name] for name in ("X", "u", "D_hat", "t"))
         calls = X, grid.means(u, exact.nx), D_hat, t

@@ -19,7 +19,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.results.evaluate import Errors, KindErrors
 from npred.stages.generate import rollouts, sampling
 from npred.stages.job import Job
@@ -147,7 +147,7 @@ def gap(P_hat: np.ndarray, rows: Labelled) -> np.ndarray:
     return np.linalg.norm(P_hat - rows.P, axis=-1)
 
 
-def write(path: Path, kinds: Mapping[str, Labelled], P_hat: Mapping[Contender, Mapping[str, np.ndarray]]) -> None:
+def write(path: Path, kinds: Mapping[str, Labelled], P_hat: Mapping[PredictorId, Mapping[str, np.ndarray]]) -> None:
     """Write the errors of each network, as HDF5, with P_hat by network and kind.
 
     X and D_hat of the rows of the first kind, and by network |P_hat - P|: `sup` over x (N,), and `over_x` (nx, 3), the

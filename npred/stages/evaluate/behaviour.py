@@ -14,7 +14,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
-from npred.results import NUMERICAL, Contender
+from npred.results import NUMERICAL, PredictorId
 from npred.results.evaluate import Behaviour, DelayMap, Limits, LoopEnd, Radii, Radius
 from npred.terminal.console import Console
 
@@ -35,7 +35,7 @@ def overtaken(loops: Trajectories) -> Overtaken:
     return Overtaken(int((loops.infeasible >= 0).sum()), " ".join(infeasible(loops) or ()))
 
 
-def warn_of_overtaken(progress: Console, by_contender: Mapping[Contender, Overtaken], scenario: str = "") -> None:
+def warn_of_overtaken(progress: Console, by_contender: Mapping[PredictorId, Overtaken], scenario: str = "") -> None:
     """One warning for all contenders, of a scenario if one is named; none where no loop ended."""
     each = [(contender, loops) for contender, loops in by_contender.items() if loops.count]
     if each:
@@ -46,8 +46,8 @@ def warn_of_overtaken(progress: Console, by_contender: Mapping[Contender, Overta
 
 
 def scores(
-    plant: Plant, config: Evaluate, begin: Starts, contender: Contender, eps_kappa: float,
-    loops: Mapping[Contender, Trajectories],
+    plant: Plant, config: Evaluate, begin: Starts, contender: PredictorId, eps_kappa: float,
+    loops: Mapping[PredictorId, Trajectories],
 ) -> dict[str, Any]:  # fmt: skip
     """What a contender's loops of an evaluation do, by key of npred.results.evaluate.Scores."""
     run, exact = loops[contender], loops[NUMERICAL]
@@ -121,7 +121,7 @@ def figure1(config: Evaluate, loops: Trajectories) -> Trajectories:
     return replace(loops, t=loops.t[rows], escaped=loops.escaped[0], **series)
 
 
-def write_figure1(path: Path, config: Evaluate, *readings: Mapping[Contender, Trajectories]) -> None:
+def write_figure1(path: Path, config: Evaluate, *readings: Mapping[PredictorId, Trajectories]) -> None:
     """These loops as HDF5: by contender t, X, U, D_hat, and N of the stability proof; those of a second reading, with U
     within `figure_bounds`, below `bounded/`.
     """

@@ -10,7 +10,7 @@ import numpy as np
 from npred.data.dataset import Dataset
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.results.evaluate import Coverage
 
 MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
@@ -27,7 +27,7 @@ def quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) ->
 
 
 def measure(
-    plant: Plant, data: Dataset, loops: Mapping[Contender, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
+    plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
 ) -> dict[str, Coverage]:
     """For each quantity its range in the training data, and the share of each contender's loop steps outside it.
 
@@ -37,7 +37,7 @@ def measure(
     covered = quantities(plant, data.X, data.u, data.D_hat)
     ranges = {name: (float(values.min()), float(values.max())) for name, values in covered.items()}
     reached = ranges | {"D_hat": _up_to(bounds, *ranges["D_hat"])}
-    outside: dict[str, dict[Contender, float]] = {name: {} for name in ranges}
+    outside: dict[str, dict[PredictorId, float]] = {name: {} for name in ranges}
     for contender, run in loops.items():
         for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
             low, high = reached[name]
@@ -54,7 +54,7 @@ def _up_to(bounds: tuple[float, float], low: float, high: float) -> tuple[float,
     return low, high
 
 
-def write(path: Path, plant: Plant, data: Dataset, loops: Mapping[Contender, Trajectories]) -> None:
+def write(path: Path, plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories]) -> None:
     """Densities over the data's range as HDF5: by quantity `edges` (BINS + 1,), `data` and `loops/NAME` (BINS,)."""
     with h5py.File(path, "w") as opened:
         file: Any = opened

@@ -16,7 +16,7 @@ from npred.loop.trajectory_views import at_bound
 from npred.plants import Plant
 from npred.predictors import Predictor, numerical
 from npred.predictors.guarded import Guarded, bare
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender, Evaluated
+from npred.results import NO_ADAPTATION, NUMERICAL, Evaluated, PredictorId
 from npred.results.evaluate import Coverage, KindErrors, KindSize, Scores
 from npred.stages.evaluate import accuracy, behaviour, coverage, in_loop, networks, scenarios, summary_tables
 from npred.stages.evaluate.accuracy import EXACT, Labelled
@@ -89,23 +89,23 @@ def run(job: Job) -> Evaluated:
     return result
 
 
-def _predictors(job: Job) -> dict[Contender, Predictor]:
+def _predictors(job: Job) -> dict[PredictorId, Predictor]:
     config = job.config.evaluate
     exact = numerical(config.predictor, job.plant, config.nx)
-    predictors: dict[Contender, Predictor] = {NUMERICAL: exact}
+    predictors: dict[PredictorId, Predictor] = {NUMERICAL: exact}
     if config.adaptation != FROZEN and not job.plant.declares_delay:
         predictors[NO_ADAPTATION] = exact
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
-            contender = Contender(model, snapshot)
+            contender = PredictorId(model, snapshot)
             network, guard = networks.load(job, contender), config.guard
             predictors[contender] = Guarded(network, exact=exact, **dict(guard)) if guard else network
     return predictors
 
 
 def _all_loops(
-    job: Job, predictors: Mapping[Contender, Predictor], begin: Starts
-) -> tuple[dict[Contender, Trajectories], dict[Contender, float]]:
+    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts
+) -> tuple[dict[PredictorId, Trajectories], dict[PredictorId, float]]:
     """Every contender's loops, and its prediction error in the loop.
 
     In threads: kernels and torch let go of the GIL, and networks need not be sent.
@@ -130,7 +130,9 @@ def _all_loops(
         return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
 
 
-def _bounded_loops(job: Job, predictors: Mapping[Contender, Predictor], begin: Starts) -> dict[Contender, Trajectories]:
+def _bounded_loops(
+    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts
+) -> dict[PredictorId, Trajectories]:
     """The loop of Fig. 1 with U within `figure_bounds`, of every contender; empty without these."""
     table = job.config.evaluate.bounded
     if table is None:
@@ -147,7 +149,7 @@ def _shares(predictor: Predictor, count: int) -> list[slice]:
 
 
 def _loops(
-    job: Job, config: Evaluate, contender: Contender, predictor: Predictor, begin: Starts, part: slice,
+    job: Job, config: Evaluate, contender: PredictorId, predictor: Predictor, begin: Starts, part: slice,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectories:  # fmt: skip
     taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
@@ -189,7 +191,7 @@ def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
                 )
 
 
-def _warn_of_fallbacks(progress: Console, models: Mapping[Contender, Scores]) -> None:
+def _warn_of_fallbacks(progress: Console, models: Mapping[PredictorId, Scores]) -> None:
     for contender, scores in models.items():
         if (scores.fallback or 0.0) > FALLBACKS:
             progress.warn(
@@ -200,7 +202,7 @@ def _warn_of_fallbacks(progress: Console, models: Mapping[Contender, Scores]) ->
 
 def _draw(job: Job, result: Evaluated) -> None:
     job.progress.doing("evaluate", "drawing")
-    evidence = figures.Evidence.read(job.folder, job.plant, job.config.evaluate, result)
+    data = figures.EvaluationData.read(job.folder, job.plant, job.config.evaluate, result)
     kinds = figures.figure1, figures.figure1_bounded, figures.certificate, figures.coverage
-    for plate in filter(None, (kind(evidence) for kind in kinds)):
-        figures.write(plate, job.folder)
+    for figure in filter(None, (kind(data) for kind in kinds)):
+        figures.write(figure, job.folder)

@@ -3,11 +3,11 @@
 import numpy as np
 
 from npred.predictors import Predictor
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.stages.job import Job
 
 
-def load(job: Job, contender: Contender) -> Predictor:
+def load(job: Job, contender: PredictorId) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
     A network that cannot be lowered is evaluated by torch.

@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping
 from npred.conditions import EVERY, Condition, scenarios
 from npred.plants import Plant
 from npred.predictors import Predictor
-from npred.results import Contender
+from npred.results import PredictorId
 from npred.results.evaluate import Behaviour, Conditions
 from npred.stages.evaluate.behaviour import Overtaken, behaviour, overtaken, warn_of_overtaken
 from npred.stages.job import Job
 
 
-def run(job: Job, predictors: Mapping[Contender, Predictor]) -> list[Conditions]:
+def run(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list[Conditions]:
     """Each scenario with the numerical predictor and the final weights of each network: the same starts and noise.
 
     Warns of loops that ended since commands would overtake each other.

@@ -8,9 +8,8 @@ import h5py
 import numpy as np
 
 from npred.errors import ConfigError
-from npred.figures import identified as figures
-from npred.figures import svg
-from npred.figures.figure import write
+from npred.figures import identified as drawings
+from npred.figures.figure import Figure, write
 from npred.figures.table import Column, Table
 from npred.identification import recorded
 from npred.identification.identified import Identified
@@ -49,10 +48,10 @@ def run(job: Job) -> IdentifiedResult:
         for name, values in drawn.items():
             file[name] = values
     result = _result(identified, log)
-    plates = list(figures.plates(plant, drawn))
-    for plate in plates:
-        write(plate, job.folder)
-    (job.folder / PAGE).write_text(_page(job, result, plates), encoding="utf-8")
+    figures = list(drawings.figures(plant, drawn))
+    for figure in figures:
+        write(figure, job.folder)
+    (job.folder / PAGE).write_text(_page(job, result, figures), encoding="utf-8")
     return result
 
 
@@ -106,7 +105,7 @@ def _autocorrelation(residuals: np.ndarray) -> np.ndarray:
     return np.array(products) / max(products[0], 1e-300)
 
 
-def _page(job: Job, result: IdentifiedResult, plates: list[Any]) -> str:
+def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
     table = job.config.optional("identify")
     return html_page.filled(
         (files("npred") / "templates" / "report" / "identified.html").read_text(encoding="utf-8"),
@@ -115,7 +114,7 @@ def _page(job: Job, result: IdentifiedResult, plates: list[Any]) -> str:
         f"{job.plant.time_text(result.period)} in the median.",
         said=result.sentences,
         chapters=[],
-        plates=[(p, [svg.inline(panel, f"{p.name}-{k}") for k, panel in enumerate(p.panels)]) for p in plates],
+        figures=figures,
         table=_table(job.plant, result),
         facts={"Recording": {"file": Path(table.data).name, "samples": str(result.samples)}},
         settings=toml_text.dumps({"plant": job.config.beside().plant, "identify": table.beside()}),

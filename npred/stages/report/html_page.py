@@ -3,7 +3,8 @@
 from importlib.resources import files
 from typing import Any
 
-from npred.figures import notation as typography
+from npred.figures.figure import inline
+from npred.figures.notation import markup
 from npred.figures.style import ROLES
 
 
@@ -16,11 +17,10 @@ def filled(template: str, **values: Any) -> str:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["typeset"] = lambda text: Markup(typography.markup(text))  # which escapes
-    environment.filters["plain"] = typography.plain
-    return environment.from_string(template).render(
-        roles=ROLES, style=text("page.css"), script=text("page.js"), **values
-    )
+    environment.filters["typeset"] = lambda text: Markup(markup(text))  # which escapes
+    environment.globals["drawn"] = lambda panel, name: Markup(inline(panel, name))
+    page = environment.from_string(template)
+    return page.render(roles=ROLES, style=text("page.css"), script=text("page.js"), **values)
 
 
 def text(name: str) -> str:

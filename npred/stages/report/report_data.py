@@ -1,6 +1,5 @@
-"""All results of a pipeline as one story: figures and tables, for the page and for papers, and three sentences."""
+"""All results of a pipeline: figures and tables, for the page and for papers, and three sentences."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,17 +9,25 @@ import numpy as np
 
 from npred import figures, json_files
 from npred.config import Pipeline
-from npred.figures import Evidence, Plate
+from npred.figures import EvaluationData, Figure
 from npred.figures.evaluation_data import OF
 from npred.figures.latency import label
 from npred.figures.style import short
 from npred.figures.table import Table
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.results import NO_ADAPTATION, NUMERICAL, Benched, Certified, Contender, Evaluated, Generated, Trained, ranked
-from npred.results.evaluate import Scores
+from npred.results import (
+    NO_ADAPTATION,
+    NUMERICAL,
+    Benched,
+    Certified,
+    Evaluated,
+    Generated,
+    PredictorId,
+    Trained,
+    ranked,
+)  # fmt: skip
 from npred.stages.bench import timing_tables
-from npred.stages.bench.sentences import method_on
 from npred.stages.report import tables
 
 CHAPTERS = (
@@ -37,7 +44,7 @@ CHAPTERS = (
 
 
 @dataclass(frozen=True)
-class Story:
+class PipelineResults:
     """The results of the stages of one pipeline; `keys` names them."""
 
     config: Pipeline
@@ -47,39 +54,53 @@ class Story:
     trained: dict[str, Trained]
     histories: dict[str, list[dict[str, float]]]
     generated: Generated
-    evidence: Evidence
+    evaluation: EvaluationData
     keys: dict[str, str]
     certified: Certified | None = None
-    rollout_errors: dict[Contender, np.ndarray] = field(default_factory=dict)
+    rollout_errors: dict[PredictorId, np.ndarray] = field(default_factory=dict)  # the largest of each rollout (N,)
 
     @classmethod
-    def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "Story":
-        """The story of the results in these folders: all but certify have to be there."""
-        evaluated, benched = Evaluated.read(inputs["evaluate"]), Benched.read(inputs["bench"])
-        trained = {name: Trained.read(inputs[name]) for name in config.train.models}
-        lines = {name: json_files.read(inputs[name] / "metrics.jsonl").splitlines() for name in trained}
-        histories = {name: [*map(json_files.parse, each)] for name, each in lines.items()}
-        evidence = Evidence.read(inputs["evaluate"], plant, config.evaluate, evaluated)
-        keys = {name: folder.name for name, folder in inputs.items()}
-        generated = Generated.read(inputs["generate"])
+    def read(cls, config: Pipeline, plant: Plant, inputs: dict[str, Path]) -> "PipelineResults":
+        """The results in these folders: all but certify have to be there."""
+        evaluated = Evaluated.read(inputs["evaluate"])
+        lines = {name: json_files.read(inputs[name] / "metrics.jsonl").splitlines() for name in config.train.models}
         certificate: dict[str, Any] = {}
         if "certify" in inputs:
             certificate["certified"] = Certified.read(inputs["certify"])
-            certificate["rollout_errors"] = _rollout_errors(inputs["certify"] / "errors.h5")
-        return cls(config, plant, evaluated, benched, trained, histories, generated, evidence, keys, **certificate)
+            with h5py.File(inputs["certify"] / "errors.h5", "r") as opened:
+                file: Any = opened
+                certificate["rollout_errors"] = {PredictorId.parse(str(name)): np.asarray(file[name]) for name in file}
+        return cls(
+            config,
+            plant,
+            evaluated,
+            benched=Benched.read(inputs["bench"]),
+            trained={name: Trained.read(inputs[name]) for name in lines},
+            histories={name: [*map(json_files.parse, each)] for name, each in lines.items()},
+            generated=Generated.read(inputs["generate"]),
+            evaluation=EvaluationData.read(inputs["evaluate"], plant, config.evaluate, evaluated),
+            keys={name: folder.name for name, folder in inputs.items()},
+            **certificate,
+        )
 
-    def plates(self) -> dict[str, Plate]:
+    def figures(self) -> dict[str, Figure]:
         """Every figure by name, in order."""
-        kinds = figures.figure1_bounded, figures.figure1, figures.certificate, figures.errors, figures.kinds
-        kinds = *kinds, figures.box, figures.delays
-        plates = [*(kind(self.evidence) for kind in kinds), figures.scenarios(self.plant, self.evaluated.scenarios)]
-        plates += [
+        histories = dict(zip(ranked(map(PredictorId, self.histories)), self.histories.values(), strict=True))
+        every = [
+            figures.figure1_bounded(self.evaluation),
+            figures.figure1(self.evaluation),
+            figures.certificate(self.evaluation),
+            figures.errors(self.evaluation),
+            figures.kinds(self.evaluation),
+            figures.box(self.evaluation),
+            figures.delays(self.evaluation),
+            figures.scenarios(self.plant, self.evaluated.scenarios),
             figures.certified(self.plant, self.certified, self.rollout_errors),
-            figures.learning(dict(zip(ranked(map(Contender, self.histories)), self.histories.values(), strict=True))),
+            figures.learning(histories),
             figures.speed(self.benched.rows),
-            figures.coverage(self.evidence),
+            figures.coverage(self.evaluation),
         ]
-        return {plate.name: plate for plate in plates if plate}
+        return {figure.name: figure for figure in every if figure}
 
     def tables(self) -> dict[str, Table]:
         """Every table by name, in order."""
@@ -97,75 +118,63 @@ class Story:
         return {table.name: table for table in every if table}
 
 
-def _rollout_errors(path: Path) -> dict[Contender, np.ndarray]:
-    """The largest error of each rollout (N,), by network."""
-    with h5py.File(path, "r") as opened:
-        file: Any = opened
-        return {Contender.parse(str(name)): np.asarray(file[name]) for name in file}
-
-
 def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
     """A run in three sentences with their numbers: the error, the closed loop, the time of a call."""
-    networks = [contender for contender in evaluated.models if contender.is_network and contender.epoch is None]
+    networks = [each for each in evaluated.models if each.is_network and each.epoch is None]
     return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
 
 
-def _errors(evaluated: Evaluated, networks: list[Contender]) -> str:
-    rows = [(network.label, evaluated.models[network]) for network in networks]
-    errors = [f"{short(row.eps_sup)} for the {name} (mean square {short(row.mse)})" for name, row in rows]
+def _errors(evaluated: Evaluated, networks: list[PredictorId]) -> str:
+    rows = [evaluated.models[network] for network in networks]
+    largest = [
+        f"{short(row.eps_sup)} for the {network.label} (mean square {short(row.mse)})"
+        for network, row in zip(networks, rows, strict=True)
+    ]
     first, *others = evaluated.kinds
     samples = f"{evaluated.held_out:,} held-out samples of {OF[first]}"
-    others = [_of_kind(kind, evaluated.kinds[kind].rows, [row for _, row in rows]) for kind in others]
-    return "; ".join([f"On {samples} the largest error of a prediction is {_and(errors)}", *others]) + "."
+    parts = [f"On {samples} the largest error of a prediction is {_and(largest)}"]
+    for kind in others:
+        errors = [short(row.kinds[kind].eps_sup) for row in rows]
+        parts.append(f"on {evaluated.kinds[kind].rows:,} of {OF[kind]} it is {_and(errors)}")
+    return "; ".join(parts) + "."
 
 
-def _of_kind(kind: str, count: int, rows: Iterable[Scores]) -> str:
-    return f"on {count:,} of {OF[kind]} it is {_and([short(row.kinds[kind].eps_sup) for row in rows])}"
+def _loops(plant: Plant, evaluated: Evaluated, networks: list[PredictorId]) -> str:
+    radii = {predictor: scores.radius for predictor, scores in evaluated.models.items()}
+    counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
+    counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
+    delay = "with the delay estimate held"
+    if NO_ADAPTATION in radii:
+        counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
+        delay = "with a delay that the controller does not know"
+    if plant.declares_delay:
+        delay = "with a delay that the plant declares"
+    near = f"{100 * metrics.SETTLED:g} % of the reference"
+    if plant.rests:
+        near = f"{short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
+    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end within {near}."
+
+
+def _speed(benched: Benched) -> str:
+    """The fastest call of a network on the finest grid, and the fastest method that is as accurate."""
+    finest = min((row.dx for row in benched.table), default=0.0)
+    networks = [row for row in benched.table if row.is_network and row.dx == finest]
+    if not networks:
+        return "No network was timed."
+    row = min(networks, key=lambda row: row.median_us)
+    text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}"
+    if row.speedup_published is not None:  # inputs with several delays have no published predictor
+        text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
+    for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
+        dx = timing_tables.timed_dx(benched, crossover)
+        method = timing_tables.method_on(crossover.best, crossover.best_steps)
+        text += (
+            f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network"
+            f"{'' if dx is None else f' at dx = {dx:.3g}'} in {crossover.network_us:.1f} µs"
+        )
+    return f"{text}."
 
 
 def _and(texts: list[str]) -> str:
     """a, b and c."""
     return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)
-
-
-def _loops(plant: Plant, evaluated: Evaluated, networks: list[Contender]) -> str:
-    radii = {contender: scores.radius for contender, scores in evaluated.models.items()}
-    counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
-    counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
-    if adapts := NO_ADAPTATION in radii:
-        counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
-    delay = "with a delay that the controller does not know" if adapts else "with the delay estimate held"
-    delay = "with a delay that the plant declares" if plant.declares_delay else delay
-    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end {_near(plant)}."
-
-
-def _near(plant: Plant) -> str:
-    """Where a loop that converges ends."""
-    if plant.rests:
-        return f"within {short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
-    return f"within {100 * metrics.SETTLED:g} % of the reference"
-
-
-def _speed(benched: Benched) -> str:
-    single = benched.table
-    finest = min((row.dx for row in single), default=0.0)
-    networks = [row for row in single if row.is_network and row.dx == finest]
-    if not networks:
-        return "No network was timed."
-    row = min(networks, key=lambda row: row.median_us)
-    ratio = row.speedup_published  # None where inputs have several delays, which that predictor does not take
-    over = "" if ratio is None else f", {ratio:,.0f} times faster than interpreted O(nx²) sums"
-    text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}{over}"
-    return f"{text}{_against_numerics(benched, row.predictor)}."
-
-
-def _against_numerics(benched: Benched, network: str) -> str:
-    crossover = next((row for row in benched.crossover if row.predictor == network), None)
-    if crossover is None:
-        return ""
-    dx = timing_tables.timed_dx(benched, crossover)
-    at = "" if dx is None else f" at dx = {dx:.3g}"
-    method = method_on(crossover.best, crossover.best_steps)
-    return (
-        f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network{at} in {crossover.network_us:.1f} µs"
-    )

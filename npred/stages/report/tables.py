@@ -1,4 +1,4 @@
-"""The tables of the report: what each stage's result says."""
+"""The tables of results, for the report, papers and the terminal: what each stage's result says."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from npred.figures.notation import quantity, timed
 from npred.figures.table import Column, Table
 from npred.plants import Plant
 from npred.registry import NETWORKS
-from npred.results import NUMERICAL, Certified, Evaluated, Trained
+from npred.results import NUMERICAL, Certified, Evaluated, PredictorId, Trained
 from npred.results.bench import CallTimes
 from npred.results.evaluate import Coverage, Scores
 
@@ -23,6 +23,7 @@ ABOUT = {
     "rel_l2": "mean of ‖P̂ − P‖ / ‖P‖",
     "median": "distance from the goal over the last tenth of a loop, its median over the cases",
     "worst": "the largest of them",
+    "predicted": "the gain times ε_{κ}: the distance that a constant error of that size brings",
     "radius": "of the loop in the figure above",
     "lost": "loops that diverge or end far away",
     "settle_time": "median over the cases",
@@ -47,12 +48,36 @@ CERTIFIED = {
 TIMES = {"median_us": "median µs", "p95_us": "95 %", "p999_us": "99.9 %", "max_us": "max"}
 
 
+def predictors(evaluated: Evaluated, microseconds: Mapping[PredictorId, float] | None = None) -> Table:
+    """Each predictor's largest error, worst radius and number of loops that converge; and the time of a call, if given.
+
+    Errors are against the numerical predictor: where it predicts, there is none.
+    """
+    rows = list(evaluated.models.values())
+    columns = [
+        Column("predictor", [each.label for each in evaluated.models]),
+        Column("ε sup", [row.eps_sup or None for row in rows], digits=2),
+        Column("worst radius", [row.radius.worst for row in rows], digits=2),
+        Column("converged", [f"{row.radius.count} of {row.radius.cases}" for row in rows], "s"),
+    ]
+    if limits := [row.limits for row in rows if row.limits]:
+        columns.append(Column("least h", ["lost" if h.least is None else f"{h.least:.3g}" for h in limits], "s"))
+    if microseconds is not None:
+        columns.append(Column("µs per call", [microseconds.get(each) for each in evaluated.models], ".1f"))
+    return Table("predictors", "Predictors", columns)
+
+
 def accuracy(evaluated: Evaluated) -> Table:
-    """Errors of each network on held-out rows of the first kind, and the sup error on fresh ones."""
-    networks = {contender.label: scores for contender, scores in evaluated.models.items() if contender.is_network}
-    columns = [Column("predictor", list(networks)), *_columns(networks.values(), ERRORS)]
-    fresh = Column("ε sup, fresh rollouts", [scores.fresh.eps_sup for scores in networks.values()], digits=2)
-    return Table("accuracy", f"Errors on held-out samples of {OF[evaluated.held_out_kind]}", [*columns, fresh])
+    """Errors of each network on held-out rows of the first kind, and on fresh ones."""
+    networks = {each.label: scores for each, scores in evaluated.models.items() if each.is_network}
+    fresh = [scores.fresh for scores in networks.values()]
+    columns = [
+        Column("predictor", list(networks)),
+        *_columns(networks.values(), ERRORS),
+        Column("mean square, fresh rollouts", [errors.mse for errors in fresh], digits=2),
+        Column("ε sup, fresh rollouts", [errors.eps_sup for errors in fresh], digits=2),
+    ]
+    return Table("accuracy", f"Errors on held-out samples of {OF[evaluated.held_out_kind]}", columns)
 
 
 def kinds(evaluated: Evaluated) -> Table | None:
@@ -60,9 +85,9 @@ def kinds(evaluated: Evaluated) -> Table | None:
     if len(evaluated.kinds) == 1:
         return None
     cells = [
-        (contender.label, kind, errors)
-        for contender, scores in evaluated.models.items()
-        if contender.is_network
+        (each.label, kind, errors)
+        for each, scores in evaluated.models.items()
+        if each.is_network
         for kind, errors in scores.kinds.items()
     ]
     columns = [
@@ -76,19 +101,20 @@ def kinds(evaluated: Evaluated) -> Table | None:
 
 
 def loops(evaluated: Evaluated) -> Table:
-    """Convergence, radius and end of the closed loops of each contender."""
+    """Convergence, radius and end of the closed loops of each predictor."""
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
     about = "loops of the map of D and D̂(0) that converge, of those that do with the numerical predictor"
     mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d", about=about)]
     bounded, within = [scores.figure1_bounded for scores in rows], "of the loop shown with U within figure_bounds"
     settles = "settling time over the numerical predictor's, the median over the cases"
     D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
-    in_loop = [scores.in_loop if contender.adapts else None for contender, scores in evaluated.models.items()]
+    in_loop = [scores.in_loop if each.adapts else None for each, scores in evaluated.models.items()]
     checked = f"largest error of the prediction in {evaluated.in_loop.loops} other loops"
     checked += "" if evaluated.in_loop.D is None else ", in which D̂ = D throughout"
+    radii = {"median": "radius, median", "worst": "worst", "predicted": "from ε_{κ}"}
     columns = [
-        Column("predictor", [contender.label for contender in evaluated.models]),
-        *_columns([scores.radius for scores in rows], {"median": "radius, median", "worst": "worst"}),
+        Column("predictor", [each.label for each in evaluated.models]),
+        *_columns([scores.radius for scores in rows], radii),
         Column(f"converged of {exact.radius.cases}", [scores.radius.count for scores in rows], "d"),
         Column("settles ×", [scores.settle_ratio for scores in rows], ".2f", about=settles),
         *(mapped if exact.map else []),
@@ -103,20 +129,22 @@ def loops(evaluated: Evaluated) -> Table:
     return Table("loops", "Closed loops", [column for column in columns if any(v is not None for v in column.values)])
 
 
-def scenarios(plant: Plant, evaluated: Evaluated) -> Table | None:
-    """What the loops of each scenario do; None of a pipeline without scenarios."""
+def scenarios(plant: Plant | None, evaluated: Evaluated) -> Table | None:
+    """What the loops of each scenario do; None without scenarios. Without the plant, times have no unit."""
     rows = [(scenario, c.label, does) for scenario in evaluated.scenarios for c, does in scenario.models.items()]
     if not rows:
         return None
     does = [row[2] for row in rows]
-    error = {} if plant.declares_delay else {"D_error": timed(plant, "|D̂ − D|")}
+    times = {"settle_time": "settles after", "D_error": "|D̂ − D|"}
+    if evaluated.in_loop.D is None:  # the plant declares its delay, and nothing is estimated
+        del times["D_error"]
     columns = [
         Column("scenario", [scenario.name for scenario, _, _ in rows]),
         Column("predictor", [label for _, label, _ in rows]),
         *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
         *_columns(does, {"lost": "lost"}, "d"),
-        *_columns(does, {"settle_time": timed(plant, "settles after")} | error),
+        *_columns(does, {key: timed(plant, head) if plant else head for key, head in times.items()}),
         *_fallback(does),
         *_limits(does),
     ]
@@ -132,9 +160,9 @@ def _fallback(rows: Sequence[Any]) -> list[Column]:
 def _limits(rows: Sequence[Any]) -> list[Column]:
     """How the limits of a plant that declares any are kept, and what a safety filter does."""
     limits = [row.limits for row in rows if row.limits]
-    columns = _columns(limits, {"least": "least h"}) if limits else []
+    columns = _columns(limits, {"least": "least h"}, digits=3) if limits else []
     if any(each.filtered is not None for each in limits):
-        columns += _columns(limits, {"filtered": "filtered"}, ".1%")
+        columns += _columns(limits, {"filtered": "filtered"}, ".2%")
         columns += _columns(limits, {"unkept": "steps without a way"}, "d")
     return columns
 
@@ -157,7 +185,7 @@ def certified(result: Certified | None) -> Table | None:
         heads["adversarial"] = "adversary"
         counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots"} | counts
     columns = [
-        Column("network", [contender.label for contender in result.models]),
+        Column("network", [network.label for network in result.models]),
         *_columns(rows, heads, about=CERTIFIED),
         *_columns(rows, counts, ",d", about=CERTIFIED),
         *_columns(rows, {"fallback": "fallback"}, ".2%", about=CERTIFIED),
@@ -178,19 +206,21 @@ def training(trained: Mapping[str, Trained]) -> Table:
     return Table("training", "Training", columns)
 
 
-def speed(rows: Sequence[CallTimes]) -> Table:
-    """Every row of the benchmark."""
-    rows = [row for row in rows if row.matches != "front"]
+def speed(rows: Sequence[CallTimes], wide: bool = True, front: bool = False) -> Table:
+    """Every row of the benchmark; `front` also those that only a figure needs, without `wide` no tails and ratios."""
+    rows = [row for row in rows if front or row.matches != "front"]
     names = [
-        label(row) if row.matches is None else f"{label(row)} (ε of {NETWORKS.label(row.matches)})" for row in rows
+        label(row) if row.matches in (None, "front") else f"{label(row)} (ε of {NETWORKS.label(row.matches)})"
+        for row in rows
     ]
+    ratios = {"speedup_published": "× O(nx²) sums", "speedup_compiled": "× Euler"} if wide else {}
     columns = [
         Column("predictor", names),
         Column("dx", [row.dx for row in rows], ".3g"),
         Column("batch", [row.batch for row in rows], "d"),
-        *_columns(rows, TIMES, digits=3),
+        *_columns(rows, TIMES if wide else {"median_us": "median µs"}, digits=3),
         *_columns(rows, {"eps_sup": "ε sup", "eps_median": "ε median"}, digits=2),
-        *_columns(rows, {"speedup_published": "× O(nx²) sums", "speedup_compiled": "× Euler"}, digits=3),
+        *_columns(rows, ratios, digits=3),
     ]
     return Table("speed", "Time of a call", columns)
 

@@ -9,7 +9,7 @@ from result_samples import CROSSOVER, timing
 from npred import plants
 from npred.predictors import RK4, Euler
 from npred.results.bench import Crossover
-from npred.stages.bench import break_even, candidates, sentences
+from npred.stages.bench import break_even, candidates, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes
 
 PLANT = plants.resolve("scalar")
@@ -66,13 +66,13 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 )
 def test_sentence(speedup, words):
     found = Crossover.of(CROSSOVER | {"network_speedup": speedup}, "a test")
-    text = sentences.network_pays(found, None)
-    once = sentences.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}), None)
+    text = timing_tables.network_pays(found, None)
+    once = timing_tables.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}), None)
     assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. By the median" in text
     assert "median error over samples, 3.0·10⁻³, RK4 on 7 steps has the network's in 4.0 µs, 2.5 times as fast." in text
     assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
     assert "on 1 step:" in once
-    assert sentences.network_pays(found.model_copy(update={"pays_from_ns": 0.0}), None).endswith(
+    assert timing_tables.network_pays(found.model_copy(update={"pays_from_ns": 0.0}), None).endswith(
         "A network pays however cheap f is (here 80 ns)."
     )
 
@@ -81,11 +81,11 @@ def test_sentence(speedup, words):
 def test_no_ratio_is_rounded_to_zero(rival_us, words):
     rival = CROSSOVER["by_median"][0] | {"median_us": rival_us}
     found = Crossover.of(CROSSOVER | {"by_median": [rival]}, "a test")
-    assert f" µs, {words}" in sentences.network_pays(found, None)
+    assert f" µs, {words}" in timing_tables.network_pays(found, None)
 
 
 def test_the_sentence_says_at_which_dx_the_network_was_timed():
-    assert "the FNO (fused, dx = 0.005)" in sentences.network_pays(Crossover.of(CROSSOVER, "a test"), 0.005)
+    assert "the FNO (fused, dx = 0.005)" in timing_tables.network_pays(Crossover.of(CROSSOVER, "a test"), 0.005)
 
 
 def test_equal_accuracy_is_not_taken_from_one_lucky_grid():

@@ -2,7 +2,7 @@
 
 from result_samples import BENCHED, CROSSOVER, timing
 
-from npred.results import NUMERICAL, Benched, Contender
+from npred.results import NUMERICAL, Benched, PredictorId
 from npred.stages.bench import timing_tables
 
 ROWS = [
@@ -21,8 +21,8 @@ RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER]}, "a test"
 def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
     lines = timing_tables.summary(RESULT, 80).splitlines()
     assert max(map(len, lines[:-2])) <= 80 and "…" not in "".join(lines)
-    assert lines[2].split() == ["predictor", "runtime", "dx", "batch", "µs", "ε", "sup", "ε", "median"]
-    assert len([line for line in lines if line.startswith("euler")]) == 1
+    assert lines[2].split() == ["predictor", "dx", "batch", "median", "µs", "ε", "sup", "ε", "median"]
+    assert len([line for line in lines if line.startswith("Euler")]) == 1
     assert lines[-2].startswith("For arm at ε = 0.02 ") and lines[-1] == "The machine stops."
 
 
@@ -35,11 +35,11 @@ def test_the_dx_of_a_break_even_is_that_of_the_row_with_its_error():
 
 def test_the_details_have_every_row_with_its_tails_and_ratios():
     text = timing_tables.details(RESULT)
-    assert "p99.9" in text and "× O(nx²) sums" in text and "published" not in text
-    assert "torch cuda:0 without copies" in text
+    assert "99.9 %" in text and "× O(nx²) sums" in text and "published" not in text
+    assert "torch on cuda:0, without copies" in text
     assert len(text.splitlines()) == 3 + len(ROWS) + 3
 
 
 def test_a_call_is_the_fastest_runtimes_at_the_finest_grid():
-    assert timing_tables.fastest(RESULT, "rk4") == {NUMERICAL: 9.5, Contender("deeponet"): 6.9}
+    assert timing_tables.fastest(RESULT, "rk4") == {NUMERICAL: 9.5, PredictorId("deeponet"): 6.9}
     assert timing_tables.fastest(Benched.of(BENCHED, "a test"), "rk4") == {}

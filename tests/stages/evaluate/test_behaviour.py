@@ -7,11 +7,11 @@ from jobs import job
 from known_loops import NEVER, known_loops
 
 from npred import plants
-from npred.results import NUMERICAL, Contender
+from npred.results import NUMERICAL, PredictorId
 from npred.stages.evaluate import behaviour
 
 PLANT = plants.resolve("scalar", {"a": 0.5, "c": 2.0})  # at rest at 0, where a control error of e moves it by e / 2
-FNO = Contender("fno")
+FNO = PredictorId("fno")
 
 
 def test_scores_are_medians_over_the_cases(tmp_path):

@@ -11,7 +11,7 @@ from npred import figures, plants
 from npred.conditions import starts
 from npred.data.dataset import Dataset
 from npred.predictors import RK4
-from npred.results import NUMERICAL, Benched, Contender, Evaluated
+from npred.results import NUMERICAL, Benched, Evaluated, PredictorId
 from npred.stages.bench import bench
 from npred.stages.evaluate import behaviour, evaluate, scenarios, summary_tables
 from npred.stages.generate import generate
@@ -63,7 +63,7 @@ def test_cases_are_the_states_alone_and_nothing_runs_without_adaptation(stages):
 def test_the_error_in_the_loop_has_no_delay_and_the_exact_predictor_hardly_any(stages):
     result = Evaluated.read(stages["evaluate"].folder)
     assert (result.in_loop.D, result.in_loop.start, result.in_loop.loops) == (None, None, 3)
-    exact, network = (result.models[c].in_loop for c in (NUMERICAL, Contender("deeponet")))
+    exact, network = (result.models[c].in_loop for c in (NUMERICAL, PredictorId("deeponet")))
     assert exact < 0.02 < network
 
 
@@ -71,18 +71,20 @@ def test_scenarios_have_no_error_of_an_estimate(stages):
     result = Evaluated.read(stages["evaluate"].folder)
     assert [one.name for one in result.scenarios] == ["noise 1 %", "pipe"]
     assert all(does.D_error is None for one in result.scenarios for does in one.models.values())
-    table = summary_tables.details(result).split("\n\n")[2]
-    assert table.splitlines()[0].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 7
-    assert len(summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")) == 2
+    *_, table = tables = summary_tables.details(result).split("\n\n")
+    assert table.splitlines()[1].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 8
+    assert "|D̂ − D|" not in table
+    others = summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")
+    assert others == tables[:-1]
 
 
 def test_figures_show_the_delay_where_others_show_the_estimate(stages):
     task = stages["evaluate"]
     result = Evaluated.read(task.folder)
-    evidence = figures.Evidence.read(task.folder, task.plant, task.config.evaluate, result)
-    plate = figures.figure1(evidence)
-    assert "delay D(X, t) (min)" in [panel.title for panel in plate.panels]
-    assert "with the delay that the plant declares" in plate.caption and "D̂(0)" not in plate.caption
+    data = figures.EvaluationData.read(task.folder, task.plant, task.config.evaluate, result)
+    figure = figures.figure1(data)
+    assert "delay D(X, t) (min)" in [panel.title for panel in figure.panels]
+    assert "with the delay that the plant declares" in figure.caption and "D̂(0)" not in figure.caption
     conditions = figures.scenarios(task.plant, result.scenarios)
     assert conditions is not None
     assert [panel.title for panel in conditions.panels] == ["worst radius", "settles after (min)"]
@@ -109,7 +111,7 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
         loops, infeasible=np.array([-1, 30, 20]), margin=np.array([np.nan, -0.3, -0.25]),
         breach=np.array([[np.nan, np.nan], [1.0, 2.0], [3.0, 4.0]]),
     )  # fmt: skip
-    by_contender = {NUMERICAL: loops, Contender("deeponet"): ended, Contender("fno"): ended}
+    by_contender = {NUMERICAL: loops, PredictorId("deeponet"): ended, PredictorId("fno"): ended}
     behaviour.warn_of_overtaken(
         task.progress, {contender: behaviour.overtaken(run) for contender, run in by_contender.items()}
     )

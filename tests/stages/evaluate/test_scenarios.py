@@ -13,7 +13,7 @@ from npred.conditions import starts
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId
 from npred.stages.evaluate import behaviour, scenarios
 
 PLANT = npred.plant(NAME)
@@ -28,7 +28,7 @@ TABLES = [
 
 def predictors():
     """The same formula under the names of four contenders: what differs then is the loops, not the prediction."""
-    names = (NUMERICAL, NO_ADAPTATION, Contender("deeponet", 3), Contender("deeponet"))
+    names = (NUMERICAL, NO_ADAPTATION, PredictorId("deeponet", 3), PredictorId("deeponet"))
     return {name: RK4(PLANT, 21) for name in names}
 
 
@@ -40,8 +40,8 @@ def test_every_scenario_has_the_numerical_predictor_and_final_networks_alone(tmp
     found = run(tmp_path, "one")
     assert [one.name for one in found] == [table["name"] for table in TABLES]
     for one in found:
-        assert list(one.models) == [NUMERICAL, Contender("deeponet")]
-        assert one.models[NUMERICAL] == one.models[Contender("deeponet")]  # the same starts, noise and delays
+        assert list(one.models) == [NUMERICAL, PredictorId("deeponet")]
+        assert one.models[NUMERICAL] == one.models[PredictorId("deeponet")]  # the same starts, noise and delays
     cases = [one.models[NUMERICAL].radius.cases for one in found]
     assert cases == [4, 4, 4, 4, 2]  # two states times two estimates, or one
 

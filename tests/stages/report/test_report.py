@@ -18,19 +18,19 @@ from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
 from npred import config, json_files, plants
 from npred.cli.report import OWNER, PLACE
 from npred.errors import StoreError
-from npred.figures import Evidence
+from npred.figures import EvaluationData
 from npred.figures.notation import markup
 from npred.figures.style import MEDIA
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
-from npred.results import Benched, Contender
+from npred.results import Benched, PredictorId
 from npred.stages.report import report
-from npred.stages.report.report_data import Story, sentences
+from npred.stages.report.report_data import PipelineResults, sentences
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
 VOID = {"meta", "link", "input", "br", "img", "hr"}
 
-FNO = Contender("fno")
+FNO = PredictorId("fno")
 
 
 def unset(text: str) -> str:
@@ -89,14 +89,16 @@ def page(text) -> Page:
 
 
 @pytest.fixture(scope="module")
-def story(reported) -> Story:
+def results(reported) -> PipelineResults:
     path, outcomes = reported
     made = job(path.parent / "read", "report").plant
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
-    return Story.read(config.load(path), made, folders)
+    return PipelineResults.read(config.load(path), made, folders)
 
 
-def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, story: Story, tmp_path: Path):
+def test_what_an_evaluation_announces_is_checked_before_room_is_made(
+    reported, results: PipelineResults, tmp_path: Path
+):
     done = reported[1]["evaluate"].artifact
     for file, name in (("errors.h5", "networks/fno/sup"), ("figure1.h5", "fno/t"), ("coverage.h5", "D_hat/edges")):
         folder = shutil.copytree(done.folder, tmp_path / file)
@@ -104,17 +106,17 @@ def test_what_an_evaluation_announces_is_checked_before_room_is_made(reported, s
             del opened[name]
             opened.create_dataset(name, shape=(10**13,), dtype="f8")
         with pytest.raises(StoreError, match=f"{name} of shape .* is larger than what is stored of it"):
-            Evidence.read(folder, story.plant, story.config.evaluate, story.evaluated)
+            EvaluationData.read(folder, results.plant, results.config.evaluate, results.evaluated)
 
 
-def test_a_result_too_long_for_a_table_is_not_read(reported, story: Story, tmp_path: Path):
+def test_a_result_too_long_for_a_table_is_not_read(reported, results: PipelineResults, tmp_path: Path):
     path, outcomes = reported
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
     folders["bench"] = tmp_path
     with (tmp_path / "result.json").open("wb") as file:
         file.truncate(json_files.LIMIT + 1)
     with pytest.raises(StoreError, match=f"more than {json_files.LIMIT}"):
-        Story.read(config.load(path), story.plant, folders)
+        PipelineResults.read(config.load(path), results.plant, folders)
 
 
 def test_nothing_is_loaded_and_nothing_could_be(page, text):
@@ -143,46 +145,44 @@ def test_it_is_well_formed_and_no_name_is_given_twice(page):
     assert set(asked) <= set(names)
 
 
-def test_every_figure_is_there_and_told_in_words(page, story):
+def test_every_figure_is_there_and_told_in_words(page, results):
     drawn = [a for tag, a in page.elements if tag == "svg" and a.get("role") == "img"]
-    assert len(drawn) == sum(len(plate.panels) for plate in story.plates().values())
+    assert len(drawn) == sum(len(figure.panels) for figure in results.figures().values())
     assert all(len(a["aria-labelledby"].split()) == 2 for a in drawn)
     assert all(a.get("aria-hidden") == "true" for tag, a in page.elements if tag == "svg" and a not in drawn)
     shown = [a["id"] for tag, a in page.elements if tag == "figure"]
-    assert shown == [f"figure-{name}" for name in story.plates()]
+    assert shown == [f"figure-{name}" for name in results.figures()]
 
 
-def test_the_tables_say_what_the_results_say(page, story):
-    for name, table in story.tables().items():
+def test_the_tables_say_what_the_results_say(page, results):
+    for name, table in results.tables().items():
         shown = page.tables[f"table-{name}"]
         assert shown[0] == [unset(column.head) for column in table.columns]
-        assert shown[1:] == [
-            [unset(c.text(value)) for c, value in zip(table.columns, row, strict=True)] for row in table.rows
-        ]
-    predictors, _, eps_sup, *_ = story.tables()["accuracy"].columns
-    assert eps_sup.values[predictors.values.index("FNO")] == story.evaluated.models[FNO].eps_sup
-    assert set(story.tables()["kinds"].columns[1].values) == {"nominal rollouts", "rows with a redrawn D̂"}
-    shown, *_, in_loop = story.tables()["loops"].columns
+        assert shown[1:] == [[*map(unset, row)] for row in table.texts]
+    predictors, _, eps_sup, *_ = results.tables()["accuracy"].columns
+    assert eps_sup.values[predictors.values.index("FNO")] == results.evaluated.models[FNO].eps_sup
+    assert set(results.tables()["kinds"].columns[1].values) == {"nominal rollouts", "rows with a redrawn D̂"}
+    shown, *_, in_loop = results.tables()["loops"].columns
     errors = dict(zip(shown.values, in_loop.values, strict=True))
     assert errors.pop("no adaptation") is None and all(error > 0 for error in errors.values())
-    assert set(story.tables()["speed"].columns[3].values) <= {row.median_us for row in story.benched.rows}
+    assert set(results.tables()["speed"].columns[3].values) <= {row.median_us for row in results.benched.rows}
 
 
-def test_headings_that_do_not_explain_themselves_are_explained_below_their_table(text, story):
+def test_headings_that_do_not_explain_themselves_are_explained_below_their_table(text, results):
     heads = {"radius, median", "worst", "ε_{κ}", "relative L²", "× Euler", "× O(nx²) sums"}
-    heads |= {column.head for column in story.tables()["loops"].columns if column.head.startswith(("map", "sup |P"))}
-    columns = {column.head: column for table in story.tables().values() for column in table.columns}
+    heads |= {column.head for column in results.tables()["loops"].columns if column.head.startswith(("map", "sup |P"))}
+    columns = {column.head: column for table in results.tables().values() for column in table.columns}
     assert len(heads) == 8
     for head in heads:
         said = f"<dt>{markup(head)}</dt><dd>{markup(columns[head].about)}</dd>"
         assert columns[head].about and said in text
 
 
-def test_a_page_of_networks_that_do_not_predict_says_so(text, story, monkeypatch):
+def test_a_page_of_networks_that_do_not_predict_says_so(text, results, monkeypatch):
     assert "No network here predicts well" in text  # two epochs
-    assert report._caution(story).split(": ")[1].startswith("the mean error is ")
+    assert report._caution(results).split(": ")[1].startswith("the mean error is ")
     monkeypatch.setattr(report, "POOR", 1e9)
-    assert report._caution(story) == ""
+    assert report._caution(results) == ""
 
 
 def test_three_sentences_bear_the_numbers(reported, text):
@@ -321,7 +321,7 @@ def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, h
 
 def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Call, here: Path, monkeypatch):
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))
-    monkeypatch.setattr(Story, "plates", lambda self: {})
+    monkeypatch.setattr(PipelineResults, "figures", lambda self: {})
     Path("c").mkdir()
     other = shutil.copy("tiny.toml", "c/tiny.toml")
     files = [("tiny.toml", "tiny-ieee1"), (other, "tiny-c-ieee1"), ("tiny.toml", "tiny-ieee1")]
@@ -330,15 +330,15 @@ def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Ca
         assert Path(f"store/{name}/pipeline.txt").read_text() == f"{file}\n"
 
 
-def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, story: Story, monkeypatch):
+def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, results: PipelineResults, monkeypatch):
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
     found = document(call("report", "tiny.toml", "--figures", "ieee1", "-o", str(tmp_path / "figures"), "--json"))
-    wanted = {f"{name}.{form}" for name in story.plates() for form in ("svg",)}
-    wanted |= {f"{name}.{form}" for name in story.tables() for form in ("csv", "tex")}
+    wanted = {f"{name}.{form}" for name in results.figures() for form in ("svg",)}
+    wanted |= {f"{name}.{form}" for name in results.tables() for form in ("csv", "tex")}
     assert {path.name for path in Path(found["folder"]).iterdir()} == set(found["files"]) == wanted
     with (tmp_path / "figures/accuracy.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert float(rows[-1]["ε sup"]) == story.evaluated.models[FNO].eps_sup
+    assert float(rows[-1]["ε sup"]) == results.evaluated.models[FNO].eps_sup
     refused = one_line(call("report", "tiny.toml", "--figures", "poster"), 2)
     assert all(medium in refused for medium in MEDIA)
 

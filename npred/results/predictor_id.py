@@ -1,4 +1,4 @@
-"""Contenders: the numerical predictor, with and without adaptation, each network, and each of its snapshots."""
+"""The predictors that results compare: the numerical one, with and without adaptation, each network and snapshot."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Contender:
+class PredictorId:
     """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics.
 
     `rank` counts the networks of a result that are not built in, by name: what tells them apart in figures.
@@ -23,9 +23,9 @@ class Contender:
     rank: int = field(default=0, compare=False)
 
     @classmethod
-    def parse(cls, name: "str | Contender") -> "Contender":
-        """The contender of a name. Raises ValueError where what follows the @ is no epoch."""
-        if isinstance(name, Contender):
+    def parse(cls, name: "str | PredictorId") -> "PredictorId":
+        """The predictor of a name. Raises ValueError where what follows the @ is no epoch."""
+        if isinstance(name, PredictorId):
             return name
         model, at, epoch = name.rpartition("@")
         if at and not (epoch.isascii() and epoch.isdigit()):
@@ -54,17 +54,17 @@ class Contender:
         return self != NO_ADAPTATION
 
 
-def ranked(contenders: Iterable[Contender]) -> list[Contender]:
-    """The same contenders with the ranks that they have beside each other."""
-    contenders = list(contenders)
-    others = sorted({c.model for c in contenders if c.is_network} - NETWORKS.builtin.keys())
-    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in contenders]
+def ranked(predictors: Iterable[PredictorId]) -> list[PredictorId]:
+    """The same predictors with the ranks that they have beside each other."""
+    predictors = list(predictors)
+    others = sorted({c.model for c in predictors if c.is_network} - NETWORKS.builtin.keys())
+    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in predictors]
 
 
-def _by_ranked(values: dict[Contender, T]) -> dict[Contender, T]:
+def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:
     return dict(zip(ranked(values), values.values(), strict=True))
 
 
-NUMERICAL, NO_ADAPTATION = Contender("numerical"), Contender("no_adaptation")
-Name = Annotated[Contender, BeforeValidator(Contender.parse), PlainSerializer(lambda c: c.name, return_type=str)]
+NUMERICAL, NO_ADAPTATION = PredictorId("numerical"), PredictorId("no_adaptation")
+Name = Annotated[PredictorId, BeforeValidator(PredictorId.parse), PlainSerializer(lambda c: c.name, return_type=str)]
 RANKED = AfterValidator(_by_ranked)  # of a table by Name

@@ -4,15 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred.results import NO_ADAPTATION, NUMERICAL, Contender
+from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId
 
 NETWORKS = st.from_regex(r"[a-z][a-z_0-9]{0,20}", fullmatch=True)
 
 
 @given(NETWORKS, st.none() | st.integers(1, 10**9))
 def test_a_name_is_read_back(model: str, epoch: int | None):
-    contender = Contender(model, epoch)
-    assert Contender.parse(contender.name) == contender == Contender.parse(contender)
+    predictor = PredictorId(model, epoch)
+    assert PredictorId.parse(predictor.name) == predictor == PredictorId.parse(predictor)
 
 
 @pytest.mark.parametrize(
@@ -26,17 +26,17 @@ def test_a_name_is_read_back(model: str, epoch: int | None):
     ],
 )
 def test_labels_are_the_registrys_and_a_networks_own_name_elsewhere(name: str, label: str):
-    assert Contender.parse(name).label == label
+    assert PredictorId.parse(name).label == label
 
 
 def test_networks_are_all_but_the_two():
-    assert [c.is_network for c in (NUMERICAL, NO_ADAPTATION, Contender("fno"), Contender("fno", 3))] == [
+    assert [c.is_network for c in (NUMERICAL, NO_ADAPTATION, PredictorId("fno"), PredictorId("fno", 3))] == [
         False, False, True, True,
     ]  # fmt: skip
-    assert NUMERICAL.adapts and Contender("fno").adapts and not NO_ADAPTATION.adapts
+    assert NUMERICAL.adapts and PredictorId("fno").adapts and not NO_ADAPTATION.adapts
 
 
 @pytest.mark.parametrize("name", ["fno@", "fno@last", "fno@-1", "fno@²"])
 def test_what_is_no_epoch_is_refused(name: str):
     with pytest.raises(ValueError, match="expected an epoch after @, got"):
-        Contender.parse(name)
+        PredictorId.parse(name)
