@@ -15,9 +15,8 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from npred import json_files
+from npred import json_files, source_lines
 from npred.errors import ConfigError, imported, similar
-from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
 

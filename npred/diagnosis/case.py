@@ -7,13 +7,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from npred import randomness
+from npred import randomness, source_lines
 from npred.config import FROZEN, Loop, Pipeline, Scenario
 from npred.delays import family_of
 from npred.errors import ConfigError
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.symbolic import source_lines
 
 Verdict = tuple[Literal["yes", "warn", "no"], str]
 STAGES = ("generate", "train", "evaluate", "bench")

@@ -130,7 +130,7 @@ def declares_V(case: Case) -> None:
 def start(case: Case) -> None:
     """Whether the loops of each stage have a range per input, and an input before t = 0 that the plant accepts."""
     for stage, loop in case.loops.items():
-        inputs.configured(case.plant, loop, stage)
+        inputs.configured(case.plant, loop.u0, loop.input_bounds, stage)
 
 
 def resolved(case: Case) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, source_lines
 from npred.delays import family_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks, signals
@@ -17,13 +17,12 @@ from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
 from npred.loop.status import Status
 from npred.loop.watchdog import Watchdog
+from npred.notebook import InNotebook
 from npred.observers import Observer
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 from npred.safety import SafetyFilter
-from npred.symbolic import source_lines
-from npred.terminal.notebook import InNotebook
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample

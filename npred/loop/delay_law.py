@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, source_lines
 from npred.delays import family, family_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors import RK4
 from npred.registry import DELAY_LAWS
-from npred.symbolic import source_lines
 
 if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
     from npred.config import Loop

@@ -7,16 +7,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import registry
+from npred import registry, source_lines
 from npred.errors import ConfigError
+from npred.notebook import InNotebook
 from npred.plants import declaration as declared
 from npred.plants import newton
 from npred.registry import Source
-from npred.symbolic import Array, Value, array_math, programs, source_lines
+from npred.symbolic import Array, Value, array_math, programs
 from npred.symbolic.declared import Components, call
 from npred.symbolic.tape import Functions, names
 from npred.symbolic.trace import Trace, python
-from npred.terminal.notebook import InNotebook
 
 
 class Plant(InNotebook):

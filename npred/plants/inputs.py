@@ -2,18 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias, TypeGuard
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks, randomness
+from npred import array_checks, randomness, source_lines
 from npred.errors import ConfigError, unlisted
 from npred.plants.base import Plant
-from npred.symbolic import source_lines
-
-if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
-    from npred.config import Loop
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
@@ -137,11 +133,11 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 
-def configured(plant: Plant, loop: "Loop", stage: str) -> Start:
+def configured(plant: Plant, u0: Given, input_bounds: ArrayLike | None, stage: str) -> Start:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
-        limits = bounds(plant, loop.input_bounds)
-        commands = start(plant, loop.u0, limits)
+        limits = bounds(plant, input_bounds)
+        commands = start(plant, u0, limits)
         if isinstance(commands, str) and commands == EQUILIBRIUM:
             _at_rest(plant, limits)
     except ConfigError as error:

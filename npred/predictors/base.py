@@ -8,14 +8,14 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks
+from npred import array_checks, source_lines
 from npred.delays import family_of
 from npred.delays.family import Step, rows
 from npred.errors import ConfigError
+from npred.notebook import InNotebook
 from npred.plants.base import Plant
 from npred.predictors.single import SingleCalls
-from npred.symbolic import Array, Value, called_functions, source_lines
-from npred.terminal.notebook import InNotebook
+from npred.symbolic import Array, Value, called_functions
 
 Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import npred
+from npred import source_lines
 from npred.delays import family_of
 from npred.errors import ConfigError, unlisted
 from npred.kernels.c_text import comment, constant, literal, single
@@ -18,7 +19,6 @@ from npred.plants.base import Plant
 from npred.predictors.guarded import bare
 from npred.runtimes import c_files, self_test
 from npred.runtimes.fused import Fused
-from npred.symbolic import source_lines
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}

@@ -28,7 +28,7 @@ def loop(config: Pipeline, stage: str) -> dict[str, Any]:
     """
     settings: Loop = getattr(config, stage)
     section, law = table(settings), registry.DELAY_LAWS.identity(settings.adaptation)
-    u0 = inputs.configured(plant(config), settings, stage)
+    u0 = inputs.configured(plant(config), settings.u0, settings.input_bounds, stage)
     section["predictor"] = registry.METHODS.identity(settings.predictor)
     section["gamma"] = gamma(config, settings)
     if settings.predictor == "semi_implicit" or stage == "evaluate":  # of which a guard may choose it

@@ -13,7 +13,7 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     """The table and the networks, what draws held-out rows, and the labels of its figures."""
     section = {"evaluate": loop(config, "evaluate")}
     if bounded := config.evaluate.bounded:
-        inputs.configured(plant(config), bounded, "evaluate")  # it may refuse them
+        inputs.configured(plant(config), bounded.u0, bounded.input_bounds, "evaluate")  # it may refuse them
     return section | networks(config) | box(config) | notation(config) | _held_out(config)
 
 
