@@ -70,10 +70,10 @@ class DeclaredDelay(Family):
         after = [s - (s - t - delay) / (1.0 - by_time)]
         functions = {
             "TIME": of.function(after, [vector("x", n), "s", "t"], {"after": 1}, "one"),
-            "LAW": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
+            "KAPPA": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
         }
         steps = STEPS if programs.depends([delay], [s]) else 1
-        return compiled("control", family.CONTROL, "declared_control.h", of, functions, STEPS=steps)
+        return compiled("control", family.CONTROL, "control.h", of, functions, STEPS=steps)
 
     def advance(self, step: Step) -> Kernel:
         return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch
