@@ -67,7 +67,7 @@ def function(
     heads = [f"const double *{a.name}" if isinstance(a, Strided) else f"double {a}" for a in arguments]
     named = ", ".join([*(f"const int {text}" for text in sized), *heads, *tail])
     program = programs.lines(outputs, bindings, targets, TEXTS)
-    if not grouped.is_calling(program):
+    if not any(grouped.CALL.search(line) for line in program):
         lines = [_statement(line) for line in program]
         return HEAD.format(name=name, arguments=named, lines="\n    ".join([*unused(named, lines), *lines]))
     for a in arguments:  # numbers are arrays then, too
@@ -90,7 +90,7 @@ def _at_lane(text: str, stride: str) -> str:
 
 
 def unused(arguments: str, lines: Sequence[str]) -> list[str]:
-    """The statements that say of the declared arguments which the lines do not read."""
+    """The statements that say which of the declared arguments the lines do not read."""
     read = set(re.findall(r"\w+", "\n".join(lines)))
     names = [argument.rpartition(" ")[2].removeprefix("*") for argument in arguments.split(", ")]
     return [f"(void)({name});" for name in names if name not in read]

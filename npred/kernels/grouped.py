@@ -35,49 +35,39 @@ def called(name: str, lines: Sequence[str]) -> str:
     return CALLED.format(name=name, loop=LOOP, lines="\n        ".join(lines))
 
 
-def is_calling(program: Sequence[str]) -> bool:
-    """True if a line of the program calls a function of the plant."""
-    return any(CALL.search(line) for line in program)
-
-
 def body(program: Sequence[str], sizes: Mapping[str, int], statement: Callable[[str], str]) -> list[str]:
     """The lines of such a function: loops over lanes with the calls between them.
 
     `sizes` are the results of the functions that are called, `statement` the C of one line.
     """
-    segments, arrays = _segments(program), set()
-    for k, (lines, _) in enumerate(segments):
-        assigned = {line.partition(" = ")[0] for line in lines}
-        later = {v for others, call in segments[k + 1 :] for line in (*others, call) for v in _VARIABLE.findall(line)}
-        arrays |= assigned & later
-    results = {call.partition(" = ")[0]: CALL.search(call)[1] for _, call in segments if call}  # type: ignore[index]
-    declared = [f"double {', '.join(f'{v}[GROUP]' for v in sorted(arrays, key=_number))};"] if arrays else []
-    declared += [f"double {v}[{sizes[name]}][GROUP];" for v, name in results.items()]
-    lines = []
-    for k, (glue, call) in enumerate(segments):
-        inner = [_of_lane(statement(line), arrays, results) for line in glue]
-        if call:
-            name, arguments = CALL.search(call).groups()  # type: ignore[union-attr]
-            passed = arguments.split(", ")
-            declared.append(f"double q{k}[{len(passed)}][GROUP];")
-            inner += [f"q{k}[{i}][l] = {_of_lane(a, arrays, results)};" for i, a in enumerate(passed)]
-            after = [f"CALLED(plant_{name}, count, q{k}, {call.partition(' = ')[0]});"]
-        else:
-            after = []
-        lines += [LOOP, *(f"    {line}" for line in inner), "}", *after]
-    return declared + lines
-
-
-def _segments(program: Sequence[str]) -> list[tuple[list[str], str]]:
-    """The lines up to each call, and the call; the last has none."""
-    segments: list[tuple[list[str], str]] = [([], "")]
+    segments: list[tuple[list[str], str]] = [([], "")]  # the lines up to each call, and the call; the last has none
     for line in program:
         if CALL.search(line):
             segments[-1] = segments[-1][0], line
             segments.append(([], ""))
         else:
             segments[-1][0].append(line)
-    return segments
+    arrays: set[str] = set()
+    for k, (lines, _) in enumerate(segments):
+        assigned = {line.partition(" = ")[0] for line in lines}
+        later = {v for others, call in segments[k + 1 :] for line in (*others, call) for v in _VARIABLE.findall(line)}
+        arrays |= assigned & later
+    results = {call.partition(" = ")[0]: CALL.search(call)[1] for _, call in segments if call}  # type: ignore[index]
+    in_order = sorted(arrays, key=lambda v: int(v[1:]))
+    declared = [f"double {', '.join(f'{v}[GROUP]' for v in in_order)};"] if arrays else []
+    declared += [f"double {v}[{sizes[name]}][GROUP];" for v, name in results.items()]
+    lines = []
+    for k, (glue, call) in enumerate(segments):
+        inner = [_of_lane(statement(line), arrays, results) for line in glue]
+        after = []
+        if call:
+            name, arguments = CALL.search(call).groups()  # type: ignore[union-attr]
+            passed = arguments.split(", ")
+            declared.append(f"double q{k}[{len(passed)}][GROUP];")
+            inner += [f"q{k}[{i}][l] = {_of_lane(a, arrays, results)};" for i, a in enumerate(passed)]
+            after = [f"CALLED(plant_{name}, count, q{k}, {call.partition(' = ')[0]});"]
+        lines += [LOOP, *(f"    {line}" for line in inner), "}", *after]
+    return declared + lines
 
 
 def _of_lane(text: str, arrays: set[str], results: Mapping[str, str]) -> str:
@@ -89,7 +79,3 @@ def _of_lane(text: str, arrays: set[str], results: Mapping[str, str]) -> str:
 
     text = re.sub(r"\b(?P<v>v\d+)\b(?P<item>\[\d+\])?", indexed, text)
     return re.sub(r"^const (?:int|double) (v\d+\[l\] =)", r"\1", text)
-
-
-def _number(variable: str) -> int:
-    return int(variable[1:])

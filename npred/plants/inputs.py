@@ -174,8 +174,11 @@ def before(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray) -> np.nd
     value = start(plant, u0, limits)
     if callable(value) or _is_table(value):
         raise ConfigError("u0: expected a constant input, got a history; give numbers, or a word")
+    if isinstance(value, str) and value == LAW:
+        with np.errstate(all="ignore"):  # a loop that starts where kappa is undefined is NaN from the start
+            return np.clip(plant.kappa(X0, 0.0), *limits.T)
     if isinstance(value, str):
-        value = _at_rest(plant, limits) if value == EQUILIBRIUM else _of_law(plant, limits, X0)
+        value = _at_rest(plant, limits)
     return np.array(np.broadcast_to(value, (len(X0), plant.m)))
 
 
@@ -193,11 +196,6 @@ def sentence(plant: Plant, u0: Given, limits: np.ndarray) -> str:
 
 def _is_table(value: object) -> TypeGuard[np.ndarray]:
     return isinstance(value, np.ndarray) and value.ndim == 2
-
-
-def _of_law(plant: Plant, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):  # a loop that starts where kappa is undefined is NaN from the start
-        return np.clip(plant.kappa(X0, 0.0), *limits.T)
 
 
 def _at_rest(plant: Plant, limits: np.ndarray) -> np.ndarray:

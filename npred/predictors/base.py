@@ -57,14 +57,19 @@ class Predictor(InNotebook, ABC):
         """The shape of a batch, and X (B, n), u (B, nx, m), D_hat and t (B,) of it. Raises as a call does."""
         X, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("D_hat", D_hat), ("t", t)))
         u = array_checks.nodes("u", u, self.plant.m)
-        self._check(X, u)
+        n, m = self.plant.n, self.plant.m
+        if X.ndim < 1 or X.shape[-1] != n:
+            raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
+        if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
+            raise ConfigError(
+                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
+            )
+        # the time of samples from elsewhere may be unknown, where nothing needs it
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
-            array_checks.finite(
-                name, array
-            )  # the time of samples from elsewhere may be unknown, where nothing needs it
+            array_checks.finite(name, array)
         array_checks.delays("D_hat", D_hat)
         shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
-        X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
+        X = np.broadcast_to(X, (*shape, n)).reshape(-1, n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
         return shape, (X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
 
@@ -100,15 +105,6 @@ class Predictor(InNotebook, ABC):
             came = f"shape {P.shape}" if hasattr(P, "shape") else f"a {type(P).__name__}"
             raise ConfigError(f"{type(self).__name__}.predict: expected to return P {shape}, (B, nx, n), got {came}")
         return P
-
-    def _check(self, X: np.ndarray, u: np.ndarray) -> None:
-        n, m = self.plant.n, self.plant.m
-        if X.ndim < 1 or X.shape[-1] != n:
-            raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
-        if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
-            raise ConfigError(
-                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
-            )
 
 
 class Compiled(Predictor):

@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.delays import family, family_of
 from npred.kernels.callback import Failure, callback
-from npred.kernels.kernel import Kernel, made, skeleton
+from npred.kernels.kernel import made, skeleton
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep, Predictor
 from npred.predictors.runge_kutta import RK4
@@ -42,15 +42,13 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
         "SHADOWS": shadows,
         "ORDER": method.order,
         "LEVELS": LEVELS,
-    } | ({} if plant.traced else {"FOREIGN": ""})
+    }
+    sizes |= {} if plant.traced else {"FOREIGN": ""}
     guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
-    return guard if plant.traced else _foreign(guard, parts, plant)
+    if plant.traced:
+        return guard
 
-
-def _foreign(guard: Kernel, parts: dict[str, Callable[..., Any]], plant: Plant) -> Callable[..., None]:
-    """The guard with parts in Python, whose addresses its scratch memory begins with."""
-
-    def guarded(*values: Any) -> None:
+    def guarded(*values: Any) -> None:  # its scratch memory begins with the addresses of the parts
         failure = Failure()
         pointers = [callback(part, POINTERS[name], {"p": plant.p}, failure) for name, part in parts.items()]
         addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]

@@ -107,33 +107,22 @@ class Guarded(Predictor):
         if self.domain is None or not family_of(self.plant).reads_cells:
             name = self.exact.name if self.exact.name in self._methods else METHODS[0]
             return name, [last, 2 * last]
-        P, worth = self.exact(*self.examples.calls), WORTH * self._exact_operations
+        # Where RK4 answers in the network's place, the plant is not stiff: implicit methods are not even compiled.
+        names = METHODS[:1] if self.exact.name == METHODS[0] else self._methods
+        each = {name: one_step(name).operations(self.plant) * one_step(name).steps_of_pair for name in names}
+        counts = [count for count in LADDER if 2 * count < self.nx]
+        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)  # else it is not known
+        P, worth = self.exact(*self.examples.calls), WORTH * counted.call_operations(self.nx - 1)
         tried: list[tuple[float, float, str, int]] = []
-        for cost, name, first in self._ladder():
+        for cost, name, first in sorted((count * cost, name, count) for name, cost in each.items() for count in counts):
             if cost > worth and any(undecided < 0.5 for undecided, *_ in tried):
                 break
             if any(undecided <= FEW and total < cost for undecided, total, *_ in tried):
                 break  # what comes costs more
-            tried.append((*self._undecided(P, name, self._levels(first)), name, first))
+            tried.append((*self._undecided(P, name, [first * 2**k for k in range(LEVELS)]), name, first))
         enough = min(undecided for undecided, *_ in tried) + FEW
         _, name, first = min((cost, name, first) for undecided, cost, name, first in tried if undecided <= enough)
-        return name, self._levels(first)
-
-    def _ladder(self) -> list[tuple[int, str, int]]:
-        """The operations on the intervals of a first level, and the method, the cheapest first.
-
-        Where RK4 answers in the network's place, the plant is not stiff: implicit methods are not even compiled.
-        """
-        names = METHODS[:1] if self.exact.name == METHODS[0] else self._methods
-        kinds = {name: one_step(name) for name in names}
-        each = {name: kind.operations(self.plant) * kind.steps_of_pair for name, kind in kinds.items()}
-        return sorted(
-            (count * cost, name, count) for name, cost in each.items() for count in LADDER if 2 * count < self.nx
-        )
-
-    def _levels(self, first: int) -> list[int]:
-        """The intervals of each level, twice those of the one before."""
-        return [first * 2**k for k in range(LEVELS)]
+        return name, [first * 2**k for k in range(LEVELS)]
 
     def _undecided(self, P: np.ndarray, name: str, levels: list[int]) -> tuple[float, float]:
         """The share of the examples, whose predictions are P, that no level decides, and the operations of one call."""
@@ -144,12 +133,6 @@ class Guarded(Predictor):
             settings = self._set(self.threshold / 2, [*pair], self.domain)
             left &= self._run(settings, P, *self.examples.calls, run=self._kernel(name))[2]
         return float(left.mean()), steps * kind.operations(self.plant) * kind.steps_of_pair
-
-    @property
-    def _exact_operations(self) -> int:
-        """Those of a call of what answers in the network's place; of one whose are not known, those of RK4."""
-        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)
-        return counted.call_operations(self.nx - 1)
 
     @cached_property
     def examples(self) -> Examples:

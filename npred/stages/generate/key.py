@@ -13,17 +13,14 @@ def configuration(config: Pipeline, model: str | None, device: str) -> dict[str,
     """The table; data of a file enter by what they are."""
     section = loop(config, "generate")
     source = section.pop("data")
-    return {"generate": section | ({"data": _digest(Path(source))} if source else {})}
+    try:
+        data = {"data": sha256(regular(Path(source)))} if source else {}
+    except OSError as error:
+        cure = "check the path"
+        raise ConfigError(f"generate.data: expected a file at {source}, got: {error.strerror}; {cure}") from None
+    return {"generate": section | data}
 
 
 def parts(config: Pipeline, model: str | None) -> dict[str, str]:
     """The method and the law of the loops."""
     return loop_parts(config, "generate")
-
-
-def _digest(path: Path) -> str:
-    """The digest of a file of data: of what it holds, not of its path."""
-    try:
-        return sha256(regular(path))
-    except OSError as error:
-        raise ConfigError(f"generate.data: expected a file at {path}, got: {error.strerror}; check the path") from None
