@@ -11,7 +11,7 @@ from npred import plants
 from npred.cli.options import Common, Exporting, writable
 from npred.data import exchange, shards
 from npred.data.dataset import MEANING, Dataset, attributes
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, required, room_on_disk
 from npred.json_files import plain
 from npred.pipeline import load_data
@@ -44,7 +44,7 @@ def bring(
     if output.resolve() in (inputs.resolve(), outputs.resolve()):
         raise ConfigError(f"import: expected another file than the two, got --output {output}; name one")
     plant = plants.resolve(plant_name)
-    family_of(plant).needs("import")
+    problem_of(plant).needs("import")
     data = exchange.part(plant, exchange.read(inputs), exchange.read(outputs), rollouts)
     nx, checks = data.u.shape[1], exchange.checks(plant, data)
     splits = {"rows": Split.of(data, exchange.split(len(data), None)[1])}

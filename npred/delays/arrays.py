@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from npred import grid
-from npred.delays.family import CURES, Family, Kernel, Step, transition
+from npred.delays.family import CURES, Kernel, PredictionProblem, Step, transition
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 from npred.symbolic import Value, array_math
@@ -16,7 +16,7 @@ from npred.symbolic import Value, array_math
 Lanes = np.ndarray  # lanes innermost
 
 
-class ArrayFamily(Family):
+class ArrayProblem(PredictionProblem):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox

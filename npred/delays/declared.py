@@ -13,7 +13,7 @@ import numpy as np
 
 from npred.delays import family
 from npred.delays.constant import ConstantDelay
-from npred.delays.family import CURES, Family, Step, compiled
+from npred.delays.family import CURES, PredictionProblem, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
@@ -24,7 +24,7 @@ from npred.symbolic.trace import Trace
 STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
 
 
-class DeclaredDelay(Family):
+class DeclaredDelay(PredictionProblem):
     """All inputs arrive D(X, t) late."""
 
     lacks: ClassVar = ("picard", "semi_implicit", "bound", "adaptation")

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.family import Family, Step, compiled
+from npred.delays.family import PredictionProblem, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel
@@ -20,7 +20,7 @@ from npred.plants.base import Plant
 from npred.symbolic import Array, Value, called_functions, tape
 
 
-class DelayPerInput(Family):
+class DelayPerInput(PredictionProblem):
     """Each input arrives r_j D late."""
 
     lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "bound", "import")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks, source_lines
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import ROUNDING, history
@@ -85,7 +85,7 @@ class Controller(InNotebook):
         self._check_clocked()
         self._oldest = math.floor(seconds_in(oldest, self.dt)) if self._recalls else 0
         self.parts = {
-            "observe": law.observe, "believe": family_of(plant).horizon(), "predict": predictor.lanes(),
+            "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
             "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
             "follow": observer and observer.follow(), "correct": observer and observer.correct(),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, source_lines
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.family import Step, rows
 from npred.errors import ConfigError
 from npred.notebook import InNotebook
@@ -168,7 +168,7 @@ class OneStep(Compiled):
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
-        family_of(plant).needs(self.name)
+        problem_of(plant).needs(self.name)
 
     @staticmethod
     @abstractmethod
@@ -216,11 +216,11 @@ class OneStep(Compiled):
         return len(times)
 
     def compile(self) -> Callable[..., None]:
-        return family_of(self.plant).sweep(self.step)
+        return problem_of(self.plant).sweep(self.step)
 
     def cells(self) -> Callable[..., None]:
         """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
-        return family_of(self.plant).sweep(self.step, cells=True)
+        return problem_of(self.plant).sweep(self.step, cells=True)
 
     @classmethod
     def operations(cls, plant: Plant) -> int:

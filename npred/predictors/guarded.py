@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from npred import array_checks, grid
 from npred.data.domain import Domain
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
 from npred.kernels.callback import Failure, callback
@@ -111,7 +111,7 @@ class Guarded(Predictor):
         inputs do together, on both grids alike: shadows are then on all nodes, and on twice as many intervals.
         """
         last = self.nx - 1
-        if self.domain is None or not family_of(self.plant).reads_cells:
+        if self.domain is None or not problem_of(self.plant).reads_cells:
             name = self.exact.name if self.exact.name in self._methods else METHODS[0]
             return name, [last, 2 * last]
         # Where RK4 answers in the network's place, the plant is not stiff: implicit methods are not even compiled.
@@ -153,13 +153,13 @@ class Guarded(Predictor):
         """What answers where the guard doubts: RK4 on all nodes, or, where the examples of the data are too stiff for
         50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
         """
-        if self._exact is None and self.domain is not None and family_of(self.plant).reads_cells:
+        if self._exact is None and self.domain is not None and problem_of(self.plant).reads_cells:
             return self.examples.exact(self._methods[1:], SHARE * self.tolerance)
         return self._exact or RK4(self.plant, self.nx)
 
     @property
     def _methods(self) -> list[str]:
-        return [name for name in METHODS if family_of(self.plant).refusal(name) is None]
+        return [name for name in METHODS if problem_of(self.plant).refusal(name) is None]
 
     @cached_property
     def _kernels(self) -> dict[str, Kernel]:
@@ -256,7 +256,7 @@ class Guarded(Predictor):
 
 def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..., None]:
     """GUARD of a plant: its parts compiled into it, or, where the plant is not traced, called back."""
-    model, n, m, phased = family_of(plant), plant.n, plant.m, plant.phased
+    model, n, m, phased = problem_of(plant), plant.n, plant.m, plant.phased
     cells, signed = model.reads_cells, method.paired
     reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
     parts: dict[str, Any] = {"CONTROL": model.control(RK4.step), "EXACT": exact.lanes(), "REFERENCE": reference}

@@ -9,7 +9,7 @@ import numpy as np
 
 import npred
 from npred import source_lines
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, unlisted
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
@@ -101,7 +101,7 @@ def digest(header: str) -> str:
 
 def _check(controller: Controller) -> None:
     """Raise ConfigError for a part that is no kernel."""
-    family_of(controller.plant).needs(WHAT)
+    problem_of(controller.plant).needs(WHAT)
     if not controller.predictor.compiled:
         raise ConfigError(
             f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "

@@ -41,7 +41,7 @@ def test_the_loops_over_lanes_of_shipped_plants_are_vectorised(name, tmp_path: P
     if "gcc" not in subprocess.run([*compiler.command(), "--version"], capture_output=True, text=True).stdout.lower():
         pytest.skip("asks gcc")
     plant = npred.plant(name)
-    family = npred.delays.family_of(plant)
+    family = npred.delays.problem_of(plant)
     for kernel in (family.sweep(npred.predictors.RK4.step), family.advance(npred.predictors.RK4.step)):
         (tmp_path / "kernel.c").write_text(kernel.unit)
         flags = [*compiler.FLAGS, "-fopt-info-vec-optimized", "kernel.c", "-o", "kernel.so", "-lm"]

@@ -12,7 +12,7 @@ from npred.conditions import EVERY, Condition, box
 from npred.config import GuardTable
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.parallel import devices
@@ -143,7 +143,7 @@ def _rollouts(table: Certify, fresh: Rollouts) -> dict[str, Any]:
 
 def _bounds(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
     """The bound of U's error over the error, at the worst samples of the first rollouts; nothing without a bound."""
-    if family_of(guard.plant).refusal("bound"):
+    if problem_of(guard.plant).refusal("bound"):
         return {"bound": [], "bounded": None}
     calls = [a[:BOUNDED] for a in fresh.worst]
     bounds = guard.bound(*calls)
