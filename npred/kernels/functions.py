@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.kernels import formula, grouped
+from npred.kernels import formula
 from npred.kernels.formula import Strided, vector
 from npred.symbolic import called_functions
 from npred.symbolic.trace import Trace
@@ -41,5 +41,5 @@ class Formulas:
             arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
             read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
             lines = formula.statements(np.ravel(outputs), read, [f"y[{k}][l]" for k in range(len(outputs))])
-            texts.append(grouped.called(name, lines))
+            texts.append(formula.called(name, lines))
         return texts

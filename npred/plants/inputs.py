@@ -81,16 +81,12 @@ class Past:
             return np.stack([self._at((k + 0.5) * dt) for k in range(-count, 0)])[:, :, None] + 0.0 * constant
         edges = np.arange(-count, 1)[:, None] * dt  # of the control steps
         position = len(self.course) * (1.0 + edges / np.maximum(self.span, np.finfo(float).tiny))  # in rows, (., B)
-        total = self._sum(position)
-        means = (total[1:] - total[:-1]) / np.diff(position, axis=0)[..., None]
-        return np.moveaxis(means, -1, 1)
-
-    def _sum(self, position: np.ndarray) -> np.ndarray:
-        """The rows' sum up to a position (., B), whole and parts: (., B, m); below 0 the first row goes on."""
-        assert isinstance(self.course, np.ndarray)
         row = np.clip(np.floor(position).astype(int), 0, len(self.course) - 1)
         sums = np.concatenate([np.zeros((1, self.course.shape[1])), np.cumsum(self.course, axis=0)])
-        return sums[row] + (position - row)[..., None] * self.course[row]
+        # the rows' sum up to a position, whole and parts, (., B, m); below 0 the first row goes on
+        total = sums[row] + (position - row)[..., None] * self.course[row]
+        means = (total[1:] - total[:-1]) / np.diff(position, axis=0)[..., None]
+        return np.moveaxis(means, -1, 1)
 
     def _at(self, t: float) -> np.ndarray:
         """The function's input at t. Raises ConfigError for another shape, or a value outside the limits."""
