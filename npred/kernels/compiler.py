@@ -109,14 +109,19 @@ def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
 
 
 def _compile(folder: Path, flags: tuple[str, ...]) -> None:
-    for libraries in dict.fromkeys((_libraries(), STANDARD)):
-        words = [*command(), *flags, TEXT, "-o", LIBRARY, *libraries]
-        done = subprocess.run(words, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", timeout=LIMIT)
-        if not done.returncode:
-            return
-    full = disk_is_full(OSError(done.stderr))
-    todo = f"free some of the disk, or name others in {disk.VARIABLE} and TMPDIR" if full else "report it"
-    raise NpredError(f"{words[0]}: expected a kernel that compiles, got: {complaint(done)}; {todo}")
+    asked = [*command(), *flags, TEXT, "-o", LIBRARY]
+
+    def run(libraries: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
+        words = [*asked, *libraries]
+        return subprocess.run(words, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", timeout=LIMIT)
+
+    done = run(_libraries())
+    if done.returncode and _libraries() != STANDARD:
+        done = run(STANDARD)
+    if done.returncode:
+        full = disk_is_full(OSError(done.stderr))
+        todo = f"free some of the disk, or name others in {disk.VARIABLE} and TMPDIR" if full else "report it"
+        raise NpredError(f"{asked[0]}: expected a kernel that compiles, got: {complaint(done)}; {todo}")
 
 
 def complaint(done: subprocess.CompletedProcess[str]) -> str:
