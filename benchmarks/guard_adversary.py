@@ -33,7 +33,7 @@ import npred
 from npred import grid
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.pipeline.models import load_data
 from npred.predictors import RK4
 from npred.predictors.guarded import Guarded
@@ -301,7 +301,7 @@ def command(guard: Guarded, P: np.ndarray, calls: Calls) -> np.ndarray:
     """U of predictions, (m, B), as a loop makes it: by a step between nodes where an input's history ends there."""
     U = np.empty((len(P), guard.plant.m))
     times = calls.t if guard.plant.clocked else np.zeros(len(P))
-    control = family_of(guard.plant).control(RK4.step)
+    control = problem_of(guard.plant).control(RK4.step)
     family.by_time(control, (P, calls.u, calls.D_hat), times, (guard.plant.p,), (U,))
     return U.T
 

@@ -89,7 +89,7 @@ def main() -> None:
     data = shards.survey(load_data(arguments.model.rpartition(":")[0], store).folder / "data.h5").subset(test=True)
     reference = candidates.Reference.of(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
-    rivals = [kind for kind in rivals if not npred.delays.family_of(stored.plant).refusal(kind.name)]
+    rivals = [kind for kind in rivals if not npred.delays.problem_of(stored.plant).refusal(kind.name)]
     for nx in arguments.nx:
         net = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=nx)
         guard = Guarded(net, arguments.tolerance)

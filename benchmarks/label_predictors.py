@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from npred import config, grid, plants
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.predictors import OneStep, Predictor, method
 from npred.registry import METHODS
 from npred.stages.generate import rollouts
@@ -40,7 +40,7 @@ def main() -> None:
     pipeline = config.load(arguments.pipeline)
     plant, table, count = plants.resolve(pipeline.plant, pipeline.parameters), pipeline.generate, arguments.rollouts
     few = table.model_copy(update={"rollouts": count, "samples": count * table.samples // table.rollouts})
-    refusal = family_of(plant).refusal
+    refusal = problem_of(plant).refusal
     kinds = [name for name in METHODS.names() if issubclass(method(name), OneStep) and not refusal(name)]
 
     def made(name: str) -> rollouts.Columns:

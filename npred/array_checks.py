@@ -19,11 +19,16 @@ def floats(name: str, value: object, kind: str = "an array of real numbers") -> 
         return value
     try:
         array = np.asarray(None if _masked(value) else value)
-        if array.dtype.kind in "biuf" or (array.dtype == object and all(map(_is_real, array.flat))):
+        # NumPy counts time differences among the integers
+        real = (isinstance(item, Real) and not isinstance(item, np.timedelta64) for item in array.flat)
+        if array.dtype.kind in "biuf" or (array.dtype == object and all(real)):
             return array.astype(float, copy=False)
     except (TypeError, ValueError, RuntimeError, OverflowError):  # torch raises the third, for a tensor with a gradient
         pass
-    raise ConfigError(f"{name}: expected {kind}, got {_described(value)}; convert it")
+    came = f"a {type(value).__name__}" if hasattr(value, "shape") else reprlib.repr(value)
+    if isinstance(value, np.ndarray) or _masked(value):
+        came = "a masked array" if _masked(value) else f"an array of {value.dtype}"
+    raise ConfigError(f"{name}: expected {kind}, got {came}; convert it")
 
 
 def nodes(name: str, value: object, m: int) -> np.ndarray:
@@ -80,19 +85,6 @@ def _masked(value: object) -> bool:
     """Whether the value is a masked array, or a list of some: np.asarray would take what is below the mask."""
     items = value if isinstance(value, list | tuple) else (value,)
     return any(isinstance(item, np.ma.MaskedArray) for item in items)
-
-
-def _is_real(item: object) -> bool:
-    return isinstance(item, Real) and not isinstance(item, np.timedelta64)  # NumPy counts that among the integers
-
-
-def _described(value: object) -> str:
-    """The argument in words, on one line."""
-    if _masked(value):
-        return "a masked array"
-    if isinstance(value, np.ndarray):
-        return f"an array of {value.dtype}"
-    return f"a {type(value).__name__}" if hasattr(value, "shape") else reprlib.repr(value)
 
 
 def batch(**leading: tuple[int, ...]) -> tuple[int, ...]:

@@ -71,7 +71,13 @@ def parse(content: bytes | str) -> Any:
 
 def escaped(value: Any) -> Any:
     """A JSON value whose texts a terminal shows as they are, on one line: escape sequences and line ends spelt out."""
-    return mapped(value, _spelt_out)
+
+    def spelt_out(leaf: Any) -> Any:
+        if not isinstance(leaf, str) or leaf.isprintable():
+            return leaf
+        return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in leaf)
+
+    return mapped(value, spelt_out)
 
 
 def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
@@ -79,12 +85,6 @@ def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
     if isinstance(value, dict):
         return {change(key): mapped(item, change) for key, item in value.items()}
     return [mapped(item, change) for item in value] if isinstance(value, list) else change(value)
-
-
-def _spelt_out(leaf: Any) -> Any:
-    if not isinstance(leaf, str) or leaf.isprintable():
-        return leaf
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in leaf)
 
 
 def plain(value: Any) -> Any:

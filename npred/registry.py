@@ -15,9 +15,8 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from npred import json_files
+from npred import json_files, source_lines
 from npred.errors import ConfigError, imported, similar
-from npred.symbolic import source_lines
 
 SUFFIX = ".py:"
 
@@ -116,11 +115,18 @@ class Registry:
         """
         if not in_file(name) and name not in self.builtin:
             return
-        path, attribute = split(name) if in_file(name) else _target_file(self.builtin[name].target)
+        if in_file(name):
+            path, attribute = split(name)
+        else:
+            module, _, attribute = self.builtin[name].target.partition(":")
+            path = Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py")
         source = read(self.kind, path)
         if attribute not in source.text:
             raise ConfigError(f"{what}: expected a class {attribute} in {path}, found none; check the name")
-        arguments = _arguments(_compiled(self.kind, path, source.text, ast.PyCF_ONLY_AST), attribute)
+        tree = _compiled(self.kind, path, source.text, ast.PyCF_ONLY_AST)
+        bodies = [node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == attribute]
+        methods = [node for body in bodies for node in body if isinstance(node, ast.FunctionDef)]
+        arguments = next((node.args for node in methods if node.name == "__init__"), None)
         if arguments is None or arguments.kwarg:
             return
         takes = {argument.arg: True for argument in arguments.args[4:]}  # after self, n, m and clock
@@ -253,9 +259,15 @@ COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
-STAGES = (  # folders of npred/stages, in their order
-    "identify", "generate", "train", "evaluate", "certify", "bench", "report"
-)  # fmt: skip
+STAGES = (
+    "identify",
+    "generate",
+    "train",
+    "evaluate",
+    "certify",
+    "bench",
+    "report",
+)  # folders of npred/stages, in order
 
 
 def declared_stage(name: str) -> Any:
@@ -312,19 +324,6 @@ def _compiled(what: str, path: Path, content: str | bytes, flags: int = 0) -> An
         raise ConfigError(
             f"{what} {path}{f':{line}' if line else ''}: expected Python, got a syntax error: {reason}; edit that line"
         ) from None
-
-
-def _target_file(target: str) -> tuple[Path, str]:
-    """The file and the class of a built-in part."""
-    module, _, attribute = target.partition(":")
-    return Path(__file__).parents[1].joinpath(*module.split(".")).with_suffix(".py"), attribute
-
-
-def _arguments(tree: ast.Module, name: str) -> ast.arguments | None:
-    """The arguments of the __init__ that a class defines."""
-    bodies = [node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name]
-    methods = [node for body in bodies for node in body if isinstance(node, ast.FunctionDef)]
-    return next((node.args for node in methods if node.name == "__init__"), None)
 
 
 def _source(path: Path, content: bytes) -> Source:

@@ -17,6 +17,7 @@ import numpy as np
 from npred import config, defaults, plants, registry
 from npred.config import Pipeline
 from npred.errors import ConfigError, unlisted
+from npred.notebook import InNotebook
 from npred.parallel import devices, executors
 from npred.pipeline import STAGES, Planner, Runner, nodes, remember
 from npred.plants import Plant
@@ -26,7 +27,6 @@ from npred.results import Evaluated, Generated, Result, Trained
 from npred.store import Store
 from npred.terminal import live_view
 from npred.terminal.console import Console
-from npred.terminal.notebook import InNotebook
 
 if TYPE_CHECKING:
     from npred.data.dataset import Dataset

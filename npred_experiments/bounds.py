@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, grid
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.family import by_time
 from npred.plants.base import Plant
 from npred.predictors.guarded import Guarded
@@ -56,7 +56,7 @@ class ErrorBound:
     """
 
     def __init__(self, plant: Plant, W: np.ndarray) -> None:
-        family_of(plant).needs("bound")
+        problem_of(plant).needs("bound")
         self.plant, self.W, self.inverse = plant, W, np.linalg.inv(W)
         self.reach = np.linalg.norm(self.inverse, axis=1)  # how far each state may be off where |v|_W is 1, (n,)
 
@@ -76,7 +76,7 @@ class ErrorBound:
         plant, parts = self.plant, -(-CELLS // (u.shape[1] - 1))
         nx, inputs = parts * (u.shape[1] - 1) + 1, _inputs(u, parts)
         P_hat, u = grid.refine(P_hat, nx), grid.means(u, nx)
-        correction, times = family_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
+        correction, times = problem_of(plant).correction(), np.zeros(len(X)) if plant.autonomous else t
         with np.errstate(all="ignore"):
             Q = P_hat
             for _ in range(SWEEPS):

@@ -13,7 +13,7 @@ import numpy as np
 from npred.conditions import box
 from npred.data import shards
 from npred.data.dataset import Dataset
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import required
 from npred.plants import Plant
 from npred.predictors import Predictor
@@ -83,7 +83,7 @@ def blind_spots(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> di
 
 def bounded(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
     """The bound of U's error over the error, at the worst samples of the first rollouts; nothing without a bound."""
-    if family_of(guard.plant).refusal("bound"):
+    if problem_of(guard.plant).refusal("bound"):
         return {"bound": [], "bounded": None}
     calls = [a[:BOUNDED] for a in fresh.worst]
     bounds = ErrorBound.of(guard)(guard.model(*calls), *calls)

@@ -12,7 +12,7 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.predictors import RK4
 from npred_experiments import latency
 from npred_experiments.experiment import (
@@ -57,8 +57,8 @@ class Kernels:
 
     def __init__(self) -> None:
         arm, loop = plants.make("sampled_arm", SampledArm), plants.make("sampled_arm_loop", SampledArmLoop)
-        self._arm, self._loop = (family_of(plant).advance(RK4.step) for plant in (arm, loop))
-        self._control, self.p = family_of(arm).control(RK4.step), arm.p
+        self._arm, self._loop = (problem_of(plant).advance(RK4.step) for plant in (arm, loop))
+        self._control, self.p = problem_of(arm).control(RK4.step), arm.p
 
     def move(self, X: np.ndarray, torque: np.ndarray) -> None:
         """X (12, B) after a step, in place."""

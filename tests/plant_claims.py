@@ -16,7 +16,7 @@ from input_histories import means
 from scipy.integrate import solve_ivp
 
 from npred import config, diagnosis, predictors
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.constant import ConstantDelay
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
@@ -77,7 +77,7 @@ class Claims:
 
     @pytest.mark.parametrize("method", METHODS.builtin)
     def test_predictor_order(self, method: str):
-        if refusal := family_of(self.plant).refusal(method):
+        if refusal := problem_of(self.plant).refusal(method):
             assert {"semi_implicit": "mechanics", "rollout": "rollout"}[method] in refusal[0]
             return
         has_its_order(self.plant, method, np.max(self.D))

@@ -12,7 +12,7 @@ from conftest import process_environment
 
 ROOT = Path(__file__).parent.parent / "npred"
 FLOORS = [
-    {"docstrings", "errors", "grid", "json_files", "progress", "randomness"},
+    {"docstrings", "errors", "grid", "json_files", "notebook", "progress", "randomness", "source_lines"},
     {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
     {"plants", "results", "store"},
     {"data", "laws", "operators", "recordings"},

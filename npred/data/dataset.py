@@ -62,22 +62,9 @@ class Dataset:
                 raise ValueError(f"arrays of different lengths {rows}")
             return cls(**{name: array[:] for name, array in arrays.items()})
 
-    def _plausible(self) -> None:
-        """Raise ConfigError, naming the first row, where a value is none that samples have. D and t may be unknown."""
-        finite = {name: ~np.isfinite(getattr(self, name)) for name in ("X", "u", "D_hat", "P")}
-        wrong = {f"{name}: expected finite numbers": bad for name, bad in finite.items()}
-        wrong |= {f"{name}: expected seconds from 0 on": getattr(self, name) < 0 for name in ("D_hat", "D")}
-        wrong |= {"test: expected 1 where a row is held out, else 0": (self.test != 0) & (self.test != 1)}
-        for expected, bad in wrong.items():
-            rows = bad.reshape(len(bad), -1).any(axis=1)
-            if rows.any():
-                row = int(np.argmax(rows))
-                value = getattr(self, expected.partition(":")[0])[row][bad[row]].flat[0]
-                raise ConfigError(f"{expected}, got {value:g} in row {row}; leave that row out")
-
     def fit(self, plant: Plant) -> None:
         """Raise ConfigError unless the arrays are of the plant's sizes, both parts of the split have rows, and every
-        value is one that samples have.
+        value is one that samples have, D and t being free to be unknown.
         """
         rows, nodes = self.u.shape[:2] if self.u.ndim == 3 else (0, 0)
         shapes = {"X": (rows, plant.n), "u": (rows, nodes, plant.m), "P": (rows, nodes, plant.n), "D_hat": (rows,)}
@@ -85,7 +72,16 @@ class Dataset:
             got = getattr(self, name).shape
             if got != shape or nodes < 2:
                 raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {got}; check the file")
-        self._plausible()
+        finite = {name: ~np.isfinite(getattr(self, name)) for name in ("X", "u", "D_hat", "P")}
+        wrong = {f"{name}: expected finite numbers": bad for name, bad in finite.items()}
+        wrong |= {f"{name}: expected seconds from 0 on": getattr(self, name) < 0 for name in ("D_hat", "D")}
+        wrong |= {"test: expected 1 where a row is held out, else 0": (self.test != 0) & (self.test != 1)}
+        for expected, bad in wrong.items():
+            bad_rows = bad.reshape(len(bad), -1).any(axis=1)
+            if bad_rows.any():
+                row = int(np.argmax(bad_rows))
+                value = getattr(self, expected.partition(":")[0])[row][bad[row]].flat[0]
+                raise ConfigError(f"{expected}, got {value:g} in row {row}; leave that row out")
         if not 0 < np.count_nonzero(self.test) < rows:
             raise ConfigError(
                 f"test: expected rows of both kinds, got {np.count_nonzero(self.test)} of {rows} held out"

@@ -3,15 +3,12 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from npred import grid
-
-if TYPE_CHECKING:  # it brings h5py, which a guard has no use for
-    from npred.data.dataset import Dataset
 
 FILE = "domain.safetensors"
 MOMENTS = 3  # of each input
@@ -42,12 +39,12 @@ class Domain:
     t: np.ndarray
 
     @classmethod
-    def of_parts(cls, parts: Callable[[], "Iterable[Dataset]"], bend: np.ndarray, phase: Phase) -> "Domain":
-        """The domain of rows that come in parts: `parts` is called three times."""
+    def of_parts(cls, parts: Callable[[], Iterable[Any]], bend: np.ndarray, phase: Phase) -> "Domain":
+        """The domain of rows that come in parts, each an npred.data.dataset.Dataset: `parts` is called three times."""
         count, total, square = 0, np.zeros(()), np.zeros(())
         kept: list[list[np.ndarray]] = []
 
-        def features(part: "Dataset") -> np.ndarray:
+        def features(part: Any) -> np.ndarray:
             return _features(part.X, part.u, part.D_hat, phase(part.t), bend)
 
         for part in parts():

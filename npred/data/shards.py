@@ -38,7 +38,12 @@ def join(folder: Path, rows: Sequence[int], attributes: dict[str, Any]) -> None:
         for key, meaning in MEANING.items():
             shape, kind = kinds[key]
             lost = math.nan if kind.kind == "f" else int(np.iinfo(kind).max)
-            joined = file.create_virtual_dataset(key, _layout(key, rows, shape, kind), lost)
+            layout, stop = h5py.VirtualLayout((sum(rows), *shape), kind), 0
+            layout.dcpl.set_obj_track_times(False)  # the same shards give the same bytes
+            for number, count in enumerate(rows):
+                layout[stop : stop + count] = h5py.VirtualSource(name(number), key, shape=(count, *shape))
+                stop += count
+            joined = file.create_virtual_dataset(key, layout, lost)
             joined.attrs["meaning"] = meaning
 
 
@@ -78,12 +83,3 @@ def survey(path: Path) -> Dataset:
         taken.append({key: getattr(part, key)[-first % step :: step].copy() for key in MEANING})
         first += len(part)
     return Dataset(**{key: np.concatenate([rows[key] for rows in taken]) for key in MEANING})
-
-
-def _layout(key: str, rows: Sequence[int], shape: tuple[int, ...], kind: np.dtype[Any]) -> h5py.VirtualLayout:
-    layout, stop = h5py.VirtualLayout((sum(rows), *shape), kind), 0
-    layout.dcpl.set_obj_track_times(False)  # the same shards give the same bytes
-    for number, count in enumerate(rows):
-        layout[stop : stop + count] = h5py.VirtualSource(name(number), key, shape=(count, *shape))
-        stop += count
-    return layout

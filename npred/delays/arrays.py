@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from npred import grid
-from npred.delays.family import CURES, Family, Kernel, Step, transition
+from npred.delays.family import CURES, Kernel, PredictionProblem, Step, transition
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 from npred.symbolic import Value, array_math
@@ -16,7 +16,7 @@ from npred.symbolic import Value, array_math
 Lanes = np.ndarray  # lanes innermost
 
 
-class ArrayFamily(Family):
+class ArrayProblem(PredictionProblem):
     """All inputs of a black box arrive D late."""
 
     plant: BlackBox
@@ -32,7 +32,9 @@ class ArrayFamily(Family):
 
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         plant = self.plant
-        f, middle = on_lanes(plant), _reads_middle(step)
+        f, zero, unknown = on_lanes(plant), np.zeros((1, 1)), np.full((1, 1), np.nan)
+        # a method that takes u in the middle of a step gets the mean over it
+        middle = np.isnan(step(lambda x, u, t: x + u, zero, zero, unknown, zero, 0.0, 0.1)).any()
 
         @np.errstate(all="ignore")
         def predict(X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, P: Lanes) -> None:
@@ -116,9 +118,3 @@ class ArrayFamily(Family):
 def on_lanes(plant: Plant) -> Step:
     """f(x, u, t) with lanes last: x (n, B), u (m, B), t a number or (B,), to (n, B)."""
     return lambda x, u, t: plant.f(x.T, u.T, t).T
-
-
-def _reads_middle(step: Step) -> bool:
-    """Whether the method takes u in the middle of a step: then that is the mean over it."""
-    zero, unknown = np.zeros((1, 1)), np.full((1, 1), np.nan)
-    return bool(np.isnan(step(lambda x, u, t: x + u, zero, zero, unknown, zero, 0.0, 0.1)).any())

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from npred.delays import family
-from npred.delays.family import Family, Step, compiled, transition
+from npred.delays.family import PredictionProblem, Step, compiled, transition
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
@@ -15,7 +15,7 @@ from npred.symbolic import Array, Value, called_functions, programs, tape
 from npred.symbolic.trace import Trace
 
 
-class ConstantDelay(Family):
+class ConstantDelay(PredictionProblem):
     """All inputs arrive D late."""
 
     reads_cells: ClassVar = True

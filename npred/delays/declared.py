@@ -13,7 +13,7 @@ import numpy as np
 
 from npred.delays import family
 from npred.delays.constant import ConstantDelay
-from npred.delays.family import CURES, Family, Step, compiled
+from npred.delays.family import CURES, PredictionProblem, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
@@ -24,7 +24,7 @@ from npred.symbolic.trace import Trace
 STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
 
 
-class DeclaredDelay(Family):
+class DeclaredDelay(PredictionProblem):
     """All inputs arrive D(X, t) late."""
 
     lacks: ClassVar = ("picard", "semi_implicit", "bound", "adaptation")
@@ -70,10 +70,10 @@ class DeclaredDelay(Family):
         after = [s - (s - t - delay) / (1.0 - by_time)]
         functions = {
             "TIME": of.function(after, [vector("x", n), "s", "t"], {"after": 1}, "one"),
-            "LAW": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
+            "KAPPA": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
         }
         steps = STEPS if programs.depends([delay], [s]) else 1
-        return compiled("control", family.CONTROL, "declared_control.h", of, functions, STEPS=steps)
+        return compiled("control", family.CONTROL, "control.h", of, functions, STEPS=steps)
 
     def advance(self, step: Step) -> Kernel:
         return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch

@@ -89,10 +89,10 @@ def by_time(
             array[rows] = np.moveaxis(lane, -1, 0)
 
 
-class Family(ABC):
-    """The kernels of one plant. What a family lacks it refuses by ConfigError, with what to do instead.
+class PredictionProblem(ABC):
+    """The kernels of one plant. What a problem lacks it refuses by ConfigError, with what to do instead.
 
-    `lacks` names the methods, laws, runtimes and formats that do not serve the family, `cures` what to use instead.
+    `lacks` names the methods, laws, runtimes and formats that do not serve the problem, `cures` what to use instead.
     """
 
     lacks: ClassVar[Sequence[str]] = ()
@@ -128,7 +128,7 @@ class Family(ABC):
     @staticmethod
     @abstractmethod
     def serves(plant: Plant) -> bool:
-        """True if the family is that of the plant."""
+        """True if the problem is that of the plant."""
 
     @abstractmethod
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:

@@ -7,22 +7,20 @@ A step that some r_j lies inside is taken in pieces, so that a method keeps its 
 The command is U_j = kappa_j(P(r_j), t + r_j D_hat).
 """
 
-from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
 
 from npred.delays import family
-from npred.delays.family import Family, Step, compiled
+from npred.delays.family import PredictionProblem, Step, compiled
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
-from npred.symbolic import Value, called_functions, tape
-from npred.symbolic.trace import Trace
+from npred.symbolic import Array, Value, called_functions, tape
 
 
-class DelayPerInput(Family):
+class DelayPerInput(PredictionProblem):
     """Each input arrives r_j D late."""
 
     lacks: ClassVar = ("picard", "semi_implicit", "adaptation", "bound")
@@ -35,23 +33,19 @@ class DelayPerInput(Family):
         delays = ", ".join(map(self.plant.time_text, self.plant.delays or ()))
         return f"expected one delay, plant {self.plant.name} has delays {delays}"
 
-    @property
-    def _ratios(self) -> list[float]:
-        """r of the inputs."""
-        return self.plant.ratios.tolist()
-
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         of = Formulas(self.plant, ())
-        functions, ratios = {"STEP": self._step(of, step, more)}, [*self._ratios, *more * [1.0]]
+        functions, ratios = {"STEP": self._step(of, step, more)}, [*self.plant.ratios.tolist(), *more * [1.0]]
         return compiled("sweep", family.PREDICT, "per_input.h", of, functions, M=len(ratios), RATIOS=_array(ratios))
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
         Y, t, D_hat = of.trace.vector("x", n * m), of.trace.input("t"), of.trace.input("D_hat")
-        U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(self._ratios)]
+        ratios = self.plant.ratios.tolist()
+        U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(ratios)]
         law = of.function(U, [vector("x", n * m, "wide"), "t", "D_hat"], {"U": m})
         functions = {"STEP": self._step(of, step), "LAW": law}
-        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=_array(self._ratios))
+        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=_array(ratios))
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -64,8 +58,16 @@ class DelayPerInput(Family):
     def _step(self, of: Formulas, step: Step, more: int = 0) -> str:
         """One step in place; `past` says which inputs' histories have ended."""
         n, m, trace = self.plant.n, self.plant.m + more, of.trace
+        past = {c: trace.input(f"past{c}") for c, r in enumerate(self.plant.ratios) if r < 1}
+
+        def closed(x: Array, u: Array, t: Value) -> Array:
+            """f with kappa for the inputs whose history has ended: those that come sooner than the last."""
+            law = trace.kappa(x, t)
+            v = [tape.M.where(past[c], law[c], v) if c in past else v for c, v in enumerate(u)]
+            return trace.f(x, np.array(v), t)
+
         inputs = [trace.vector(name, m) for name in "amb"]  # at the piece's begin, middle and end
-        y = step(_closed(trace), trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
+        y = step(closed, trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
         y = self.plant.stopped(y, tape.M)
         arguments = [vector("x", n), *(vector(name, m, "wide") for name in "amb"), vector("past", m, "one"), "t", "h"]
         return of.function(y, arguments, {"y": n})
@@ -74,15 +76,3 @@ class DelayPerInput(Family):
 def _array(numbers: list[float]) -> str:
     """Numbers, as C has them."""
     return f"{{{', '.join(map(repr, numbers))}}}"
-
-
-def _closed(trace: Trace) -> Callable[..., np.ndarray]:
-    """f with kappa for the inputs whose history has ended: those that come sooner than the last."""
-    plant = trace.plant
-    past = {c: trace.input(f"past{c}") for c, r in enumerate(plant.ratios) if r < 1}
-
-    def f(x: np.ndarray, u: np.ndarray, t: Value) -> np.ndarray:
-        law = trace.kappa(x, t)
-        return trace.f(x, np.array([tape.M.where(past[c], law[c], v) if c in past else v for c, v in enumerate(u)]), t)
-
-    return f

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from npred.config import FROZEN, PAPER, Loop
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.diagnosis.case import OBSERVER, Case, Verdict
 from npred.diagnosis.equilibrium import FALLING, HOME, distances, times
 from npred.loop.adaptation import DelayAdaptation
@@ -46,7 +46,7 @@ class Trial(NamedTuple):
 
 def applies(case: Case) -> bool:
     """True where the paper's law runs, and loops of kappa converge without delay."""
-    runs = family_of(case.plant).refusal("adaptation") is None and case.plant.declares_V
+    runs = problem_of(case.plant).refusal("adaptation") is None and case.plant.declares_V
     table = case.pipeline.evaluate if case.pipeline else None
     asked = case.plant.n <= LARGEST if table is None else table.adaptation == PAPER
     return runs and case.sound and case.leads == "yes" and asked

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.diagnosis.case import Case, Verdict
 from npred.errors import unlisted
 from npred.plants import inputs
@@ -148,7 +148,7 @@ def _undelayed(plant: Plant) -> Plant:
 
 def feasible(case: Case) -> Verdict:
     """Whether 1 - D_X f - D_t > 0 on the box under kappa and u0, D being the plant's: else commands overtake others."""
-    plant, speed = case.plant, family_of(case.plant).speed()
+    plant, speed = case.plant, problem_of(case.plant).speed()
     assert speed is not None
     times, delays = case.delays
     worst = int(np.argmin(np.where(np.isfinite(delays), delays, -np.inf).min(axis=0)))

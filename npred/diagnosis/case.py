@@ -7,13 +7,12 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from npred import randomness
+from npred import randomness, source_lines
 from npred.config import FROZEN, Loop, Pipeline, Scenario
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.symbolic import source_lines
 
 Verdict = tuple[Literal["yes", "warn", "no"], str]
 STAGES = ("generate", "train", "evaluate", "bench")
@@ -114,7 +113,7 @@ class Case:
     def takes_V(self) -> bool:
         """True if an update law runs: not with a frozen estimate, nor where inputs have several delays."""
         if self.pipeline is None or self.plant.declares_delay:
-            return family_of(self.plant).refusal("adaptation") is None
+            return problem_of(self.plant).refusal("adaptation") is None
         laws = [loop.adaptation for loop in self.loops.values()] + [s.adaptation for s in self.scenarios]
         return any(law is not None and law not in WITHOUT_V for law in laws)
 

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from npred import source_lines
 from npred.diagnosis.case import Case, Verdict
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4
-from npred.symbolic import array_math, programs, source_lines
+from npred.symbolic import array_math, programs
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 

@@ -8,7 +8,7 @@ import numpy as np
 from npred import array_checks, plants, predictors
 from npred.conditions.condition import wrapped
 from npred.config import FROZEN, PAPER
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.diagnosis.case import SPAN, Case
 from npred.diagnosis.equilibrium import SLIP
 from npred.diagnosis.lyapunov import DECLARE
@@ -31,7 +31,7 @@ TIMES = 1001  # at which a delay by which networks tell the time is looked at
 
 def served(case: Case) -> None:
     """Whether methods, laws and runtimes serve the plant's family: all that do not in one refusal, and what to set."""
-    refusal, pipeline = family_of(case.plant).refusal, case.settings
+    refusal, pipeline = problem_of(case.plant).refusal, case.settings
     asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
     for stage, loop in case.loops.items():
         if not case.plant.declares_delay:  # that of the pipeline means nothing there
@@ -131,7 +131,7 @@ def start(case: Case) -> None:
     """Whether the loops of each stage have a range per input, and an input before t = 0 that the plant accepts."""
     for stage, loop in case.loops.items():
         for each in filter(None, (loop, getattr(loop, "bounded", None))):
-            inputs.configured(case.plant, each, stage)
+            inputs.configured(case.plant, each.u0, each.input_bounds, stage)
 
 
 def resolved(case: Case) -> None:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from npred.notebook import InNotebook
 from npred.plants import Plant
-from npred.terminal.notebook import InNotebook
 
 CERTAIN = 0.5  # of the range of delays: a wider interval says nothing
 ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else

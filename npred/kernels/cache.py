@@ -117,9 +117,10 @@ def sound(target: Path) -> bool:
 
 def install(folder: Path, target: Path) -> None:
     """Seal what was compiled, make it durable and rename it into place, where another process may have been faster."""
-    digests = _digests(folder)
+    files = [Path(here, name) for here, _, names in os.walk(folder) for name in names]
+    digests = {str(path.relative_to(folder)): json_files.sha256(path) for path in files}
     (folder / SEAL).write_text(json.dumps(digests), encoding="utf-8")
-    for path in [*(folder / name for name in digests), folder / SEAL, folder]:
+    for path in [*files, folder / SEAL, folder]:
         json_files.sync(path)
     if target.exists() and not sound(target):
         broken = Path(tempfile.mkdtemp(dir=target.parent, prefix=".old-"))
@@ -134,9 +135,3 @@ def install(folder: Path, target: Path) -> None:
             if error.errno != errno.ENOTEMPTY:
                 raise
         json_files.sync(target.parent)
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    """The sha256 of each file of a folder, by its path."""
-    files = (Path(here, name) for here, _, names in os.walk(folder) for name in names)
-    return {str(path.relative_to(folder)): json_files.sha256(path) for path in files}

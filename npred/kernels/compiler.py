@@ -13,7 +13,7 @@ import threading
 from collections import defaultdict
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -35,7 +35,7 @@ LIMIT = 1200.0  # s that a compiler may take
 SIDE_BY_SIDE = 2  # compilers at once
 START, SPEED = 0.1, 2e5  # s that a compiler takes at least, and characters of formulas that it reads in one more
 STANDARD = ("-lm",)
-ONCE = "once per plant or network on this machine"
+ALONE, ONCE = "compiling a kernel", "once per plant or network on this machine"
 LIBRARY, TEXT = "kernel.so", "kernel.c"
 _locks: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)  # one writer per library
 _loaded: dict[str, ctypes.CDLL] = {}
@@ -72,23 +72,16 @@ def library(text: str, exact: bool = False) -> ctypes.CDLL:
 def prepare(texts: Iterable[str], exact: bool = False) -> None:
     """Compile what is not there yet of these texts, side by side: a first loop needs five. Raises as `library` does."""
     flags = (*FLAGS, *EXACT) if exact else FLAGS
-    missing = {name: text for text in texts if not _is_there(name := _named(text, flags))}
-    work = progress.announce(_doing(len(missing)), _seconds(missing.values()), ONCE)
-    with work, ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
-        list(pool.map(partial(_silently, exact=exact), sorted(missing.values(), key=len, reverse=True)))
+    named = {_named(text, flags): text for text in texts}
+    missing = [text for name, text in named.items() if name not in _loaded and not (disk.root() / name).exists()]
 
+    def compile_silently(text: str) -> None:
+        with progress.quiet():
+            library(text, exact)
 
-def _silently(text: str, exact: bool) -> None:
-    with progress.quiet():
-        library(text, exact)
-
-
-def _is_there(name: str) -> bool:
-    return name in _loaded or (disk.root() / name).exists()
-
-
-def _doing(count: int) -> str:
-    return f"compiling {count} kernels" if count > 1 else "compiling a kernel"
+    doing = f"compiling {len(missing)} kernels" if len(missing) > 1 else ALONE
+    with progress.announce(doing, _seconds(missing), ONCE), ThreadPoolExecutor(SIDE_BY_SIDE) as pool:
+        list(pool.map(compile_silently, sorted(missing, key=len, reverse=True)))
 
 
 def _seconds(texts: Iterable[str]) -> float:
@@ -105,7 +98,7 @@ def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
     aside = disk.aside()
     try:
         (aside / TEXT).write_text(text, encoding="utf-8")
-        with progress.announce(_doing(1), _seconds([text]), ONCE):
+        with progress.announce(ALONE, _seconds([text]), ONCE):
             _compile(aside, flags)
         disk.install(aside, target)
     except OSError as error:
@@ -117,9 +110,14 @@ def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
 
 def _compile(folder: Path, flags: tuple[str, ...]) -> None:
     asked = [*command(), *flags, TEXT, "-o", LIBRARY]
-    done = _run([*asked, *_libraries()], folder)
+
+    def run(libraries: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
+        words = [*asked, *libraries]
+        return subprocess.run(words, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", timeout=LIMIT)
+
+    done = run(_libraries())
     if done.returncode and _libraries() != STANDARD:
-        done = _run([*asked, *STANDARD], folder)
+        done = run(STANDARD)
     if done.returncode:
         full = disk_is_full(OSError(done.stderr))
         todo = f"free some of the disk, or name others in {disk.VARIABLE} and TMPDIR" if full else "report it"
@@ -130,10 +128,6 @@ def complaint(done: subprocess.CompletedProcess[str]) -> str:
     """What a compiler that failed said: its first line with an error, else its first one, else how it ended."""
     lines = [line for line in done.stderr.splitlines() if "error" in line]
     return first_line("\n".join(lines) or done.stderr, f"no word, exit code {done.returncode}")
-
-
-def _run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(words, cwd=folder, capture_output=True, encoding="utf-8", errors="replace", timeout=LIMIT)
 
 
 @cache
@@ -166,15 +160,10 @@ def version() -> str | None:
 
 @cache
 def _machine() -> tuple[str, ...]:
-    """The compiler and the processor."""
-    return (*command(), version() or "", *_processor())
-
-
-def _processor() -> list[str]:
-    """What -march=native depends on."""
+    """The compiler, and the lines about the processor that -march=native depends on."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return []
+        lines = []
     kinds = ("model name", "flags", "Features", "CPU part")
-    return sorted({line for line in lines if line.startswith(kinds)})
+    return (*command(), version() or "", *sorted({line for line in lines if line.startswith(kinds)}))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.kernels import formula, grouped
+from npred.kernels import formula
 from npred.kernels.formula import Strided, vector
 from npred.symbolic import called_functions
 from npred.symbolic.trace import Trace
@@ -23,7 +23,10 @@ class Formulas:
         self, outputs: Any, arguments: Iterable[Strided | str], results: Mapping[str, int], stride: str = "lanes"
     ) -> str:
         """The C function of some outputs; see npred.kernels.formula.function."""
-        return formula.function("{name}", outputs, arguments, results, len(self.plant.p), stride, self._sizes())
+        n, m = self.plant.n, self.plant.m
+        sizes = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
+        sizes = {"f": n, "df": n, "kappa": m, "law": 2 * m} | sizes
+        return formula.function("{name}", outputs, arguments, results, len(self.plant.p), stride, sizes)
 
     def f(self) -> str:
         """f of x, u with the stride of lanes, to y next to each other."""
@@ -33,15 +36,10 @@ class Formulas:
 
     def called(self) -> list[str]:
         """The functions that those of this trace call."""
-        return [self._called(name) for name in self.trace.tape.called()]
-
-    def _called(self, name: str) -> str:
-        arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
-        read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
-        lines = formula.statements(np.ravel(outputs), read, [f"y[{k}][l]" for k in range(len(outputs))])
-        return grouped.called(name, lines)
-
-    def _sizes(self) -> dict[str, int]:
-        n, m = self.plant.n, self.plant.m
-        steps = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
-        return {"f": n, "df": n, "kappa": m, "law": 2 * m} | steps
+        texts = []
+        for name in self.trace.tape.called():
+            arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
+            read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
+            lines = formula.statements(np.ravel(outputs), read, [f"y[{k}][l]" for k in range(len(outputs))])
+            texts.append(formula.called(name, lines))
+        return texts

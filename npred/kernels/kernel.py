@@ -13,24 +13,20 @@ import numpy as np
 from npred.kernels import compiler
 
 FOLDER = Path(__file__).parent / "c"
-NUMBERS = {
-    "t": "double",
-    "dt": "double",
-    "b": "double",
-    "gate": "double",
-    "k": "INDEX",
-    "origin": "INDEX",
-}  # others are arrays
+NUMBERS = dict.fromkeys(("t", "dt", "b", "gate"), "double") | dict.fromkeys(
+    ("k", "origin"), "INDEX"
+)  # others are arrays
 PREPARED = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
 AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
     **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept"), ()),
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed", "low", "high"), ("m",)),
-    "u": ("nx", "m"), "u_nodes": ("nx", "m"), "P_hat": ("nx", "n"), "P": ("nx", "n"), "held": ("rows", "m"),
-    "spans": ("rows",), "moments": ("rows",),
-    "total": ("rows", "m"),
-}  # fmt: skip
+    **dict.fromkeys(("u", "u_nodes"), ("nx", "m")),
+    **dict.fromkeys(("P_hat", "P"), ("nx", "n")),
+    **dict.fromkeys(("held", "total"), ("rows", "m")),
+    **dict.fromkeys(("spans", "moments"), ("rows",)),
+}
 Work = Callable[[int, int, Any], int]  # doubles that a call needs, by nodes, lanes and the settings of a guard
 
 
@@ -65,11 +61,6 @@ def foreign_type(arguments: str) -> Any:
     return ctypes.CFUNCTYPE(None, Shape, *kinds, ctypes.c_void_p)
 
 
-def no_work(nx: int, lanes: int, settings: Any) -> int:
-    """Of a kernel that needs none."""
-    return 0
-
-
 @dataclass(frozen=True)
 class Kernel:
     """A C function of the arrays `arguments`, as npred.delays.family names them; its text calls `before` and `parts`.
@@ -84,7 +75,7 @@ class Kernel:
     before: tuple[str, ...] = ()
     parts: tuple["Kernel", ...] = ()
     sizes: tuple[int, int] = (0, 0)  # states and inputs
-    work: Work = no_work
+    work: Work = lambda nx, lanes, settings: 0
     exact: bool = False
     loose: bool = False
 
@@ -141,9 +132,15 @@ class Kernel:
         for position, axes in self._sized:
             sizes |= zip(axes, values[position].shape, strict=True)
         shape = Shape(**sizes)
-        work = np.empty(self.work(shape.nx, shape.lanes, values[self._guard] if self._guard is not None else None))
+        settings = values[self._guard] if self._guard is not None else None
+        work = np.empty(self.work(shape.nx, shape.lanes, settings))
         work[: len(scratch)] = scratch
-        held = [shape, *map(_in_memory, names(self.arguments), values), work]
+        kinds = [KINDS[NUMBERS.get(name)] for name in names(self.arguments)]
+        passed = [  # a number gets an address too
+            value if isinstance(value, np.ndarray | ctypes._SimpleCData) else kind(value)
+            for kind, value in zip(kinds, values, strict=True)
+        ]
+        held = [shape, *passed, work]
         addresses = (ctypes.c_void_p * len(held))(*map(address, held))
         call = partial(self.prepared, ctypes.addressof(addresses))
         call.held = addresses, held  # type: ignore[attr-defined]  # which keeps the memory
@@ -164,12 +161,6 @@ class Kernel:
 def bound(run: Callable[..., None], *values: Any) -> Callable[[], None]:
     """The call of a kernel, or of a function in its place, on these arrays."""
     return run.bound(*values) if isinstance(run, Kernel) else partial(run, *values)
-
-
-def _in_memory(name: str, value: Any) -> Any:
-    """An argument that has an address: a number gets one."""
-    kind = KINDS[NUMBERS.get(name)]
-    return value if isinstance(value, np.ndarray | ctypes._SimpleCData) else kind(value)
 
 
 def address(value: Any) -> int:

@@ -5,12 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from npred import randomness
+from npred import randomness, source_lines
 from npred.errors import ConfigError
 from npred.plants import inputs
-from npred.plants.base import Plant, require
-from npred.plants.newton import REST
-from npred.symbolic import Value, programs, source_lines
+from npred.plants.base import REST, Plant, require
+from npred.symbolic import Value, programs
 from npred.symbolic.tape import M, Symbol, Vector, names
 from npred.symbolic.trace import Trace, python
 

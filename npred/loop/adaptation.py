@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.loop.delay_law import DelayLaw, delay
@@ -38,7 +38,7 @@ class DelayAdaptation(DelayLaw):
 
     def check(self, plant: Plant) -> None:
         """Raise ConfigError where inputs have several delays, and where there is no V to divide by."""
-        family_of(plant).needs("adaptation")
+        problem_of(plant).needs("adaptation")
         if not plant.declares_V:
             cure = "declare one, as npred plants check offers, or take DelayObserver or L1Adaptation, which need none"
             raise ConfigError(f"{undeclared(plant)}; {cure}")
@@ -91,7 +91,7 @@ def undeclared(plant: Plant) -> str:
 @cache
 def update_law(plant: Plant) -> Kernel:
     """The paper's law for D_hat: phi [DAPF, eq. 12] and N = 1 + V + b ∫ (1+x) w²."""
-    return family_of(plant).update()
+    return problem_of(plant).update()
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.constant import ConstantDelay
 from npred.errors import ConfigError
 from npred.loop import clocked, delay_law, engine, loop_checks, signals
@@ -144,7 +144,7 @@ def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
     """D(X0, 0), (...)."""
     X = np.array(X0.reshape(-1, plant.n).T, order="C")
     D_hat, D = np.empty(X.shape[1]), np.empty((plant.m, X.shape[1]))
-    horizon = family_of(plant).horizon()
+    horizon = problem_of(plant).horizon()
     assert horizon is not None
     horizon(X, 0.0, plant.p, plant.ratios, D_hat, D)
     return D_hat.reshape(X0.shape[:-1])
@@ -272,8 +272,8 @@ class _Simulation:
     @cached_property
     def parts(self) -> dict[str, Any]:
         """The sentences of a control step, on lanes, traced once for all chunks."""
-        model = ConstantDelay(self.plant) if self.blind else family_of(self.plant)
-        truth, law = family_of(self.truth), self.law
+        model = ConstantDelay(self.plant) if self.blind else problem_of(self.plant)
+        truth, law = problem_of(self.truth), self.law
         observer = self.measurement.observer
         return {
             "horizon": truth.horizon(),

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks
-from npred.delays import family_of
+from npred import array_checks, source_lines
+from npred.delays import problem_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import ROUNDING, history
@@ -17,13 +17,12 @@ from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
 from npred.loop.status import Status
 from npred.loop.watchdog import Watchdog
+from npred.notebook import InNotebook
 from npred.observers import Observer
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
 from npred.safety import SafetyFilter
-from npred.symbolic import source_lines
-from npred.terminal.notebook import InNotebook
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
@@ -86,7 +85,7 @@ class Controller(InNotebook):
         self._check_clocked()
         self._oldest = math.floor(seconds_in(oldest, self.dt)) if self._recalls else 0
         self.parts = {
-            "observe": law.observe, "believe": family_of(plant).horizon(), "predict": predictor.lanes(),
+            "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
             "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
             "follow": observer and observer.follow(), "correct": observer and observer.correct(),

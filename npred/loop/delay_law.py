@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from npred import array_checks
-from npred.delays import family, family_of
+from npred import array_checks, source_lines
+from npred.delays import family, problem_of
 from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors import RK4
 from npred.registry import DELAY_LAWS
-from npred.symbolic import source_lines
 
 if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
     from npred.config import Loop
@@ -167,7 +166,7 @@ def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
 @cache
 def control_law(plant: Plant) -> Kernel:
     """U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]; between nodes P(r_j) is a step of RK4."""
-    return family_of(plant).control(RK4.step)
+    return problem_of(plant).control(RK4.step)
 
 
 def _interpreted(law: DelayLaw, plant: Plant) -> Kernel:

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.errors import ConfigError
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
@@ -65,7 +65,7 @@ class DelayObserver(DelayLaw):
             raise ConfigError(f"adaptation: expected at least 3 candidates, got {self.candidates!r}; raise it")
 
     def check(self, plant: Plant) -> None:
-        family_of(plant).needs("observer")
+        problem_of(plant).needs("observer")
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float

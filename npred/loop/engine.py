@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.kernels import compiler
 from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, Shape, address, skeleton
@@ -157,7 +157,7 @@ def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict
 @cache
 def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     """The step of the plant with held inputs, split where a switch of a delayed input falls inside it."""
-    return family_of(plant).advance(method.step)
+    return problem_of(plant).advance(method.step)
 
 
 def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:

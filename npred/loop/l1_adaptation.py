@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.errors import ConfigError
 from npred.kernels.formula import vector
 from npred.kernels.functions import Formulas
@@ -31,7 +31,7 @@ class L1Adaptation(DelayLaw):
 
     def check(self, plant: Plant) -> None:
         """Raise ConfigError where the plant is not traced, or has no one delay to estimate, as for the paper's law."""
-        family_of(plant).needs("adaptation")
+        problem_of(plant).needs("adaptation")
         if not plant.traced:
             raise ConfigError(
                 f"adaptation L1Adaptation: expected a plant that is traced, {plant.name} says traced = False; "

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, unlisted
 from npred.loop.actuator import ROUNDING
 from npred.loop.delay_law import DelayLaw
@@ -159,7 +159,7 @@ def integrator(name: Any, *plants: Plant) -> type[OneStep]:
     if kind is None or not issubclass(kind, OneStep):
         raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
     for plant in plants:
-        family_of(plant).needs(kind.name)
+        problem_of(plant).needs(kind.name)
     return kind
 
 

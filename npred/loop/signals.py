@@ -64,7 +64,7 @@ STATE = [
     *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
-    *(Signal(name, ("protected", "m")) for name in ("u_moved", "u_nodes_moved")),  # what such a prediction reads
+    Signal("u_moved", ("protected", "m")),  # what such a prediction reads
     Signal("P_moved", ("protected", "n")),
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused

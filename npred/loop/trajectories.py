@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.loop import trajectory_views
 from npred.loop.signals import Record
 from npred.plants.base import Plant
@@ -209,7 +209,7 @@ def margins(r: Record, plant: Plant, truth: Plant, predictor: Predictor | None) 
         of = truth
         if np.isfinite(r.sample_D_hat[-1, l]):
             of, t = plant, _arrival(r, l, t, plant, predictor)
-        speed, value = family_of(of).speed(), np.empty((plant.m, 1))
+        speed, value = problem_of(of).speed(), np.empty((plant.m, 1))
         assert speed is not None  # no other loop is marked
         speed(X, U, t, of.p, value)
         margin[0, l] = value[0, 0]
@@ -222,5 +222,5 @@ def _arrival(r: Record, l: int, t: float, plant: Plant, predictor: Predictor | N
     X = np.append(r.sample_X[-1, :, l], t)[:, None]
     u, D_hat = np.array(r.sample_u[-1][..., [l]], order="C"), r.sample_D_hat[-1, [l]]
     P = np.empty((len(u), plant.n + 1, 1))
-    family_of(plant).sweep(step, timed=True)(X, u, D_hat, t, plant.p, P)  # type: ignore[call-arg]
+    problem_of(plant).sweep(step, timed=True)(X, u, D_hat, t, plant.p, P)  # type: ignore[call-arg]
     return float(P[np.isfinite(P[:, -1, 0]), -1, 0][-1])

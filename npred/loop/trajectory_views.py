@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from npred import array_checks
+from npred import array_checks, notebook
 from npred.errors import ConfigError, MissingError
-from npred.terminal import notebook
 
 if TYPE_CHECKING:
     from npred.loop.trajectories import Trajectories

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, unlisted
 from npred.kernels.kernel import Kernel
 from npred.plants import Plant, make
@@ -59,7 +59,7 @@ class Watchdog:
         if not callable(self.then):
             return None
         declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})
-        return family_of(make(plant.name, declaration, plant.parameters)).control(RK4.step)
+        return problem_of(make(plant.name, declaration, plant.parameters)).control(RK4.step)
 
 
 def _one_per_input(name: str, value: Any, m: int) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from npred import source_lines
 from npred.config import Anchor, Training
 from npred.data.domain import Domain
 from npred.errors import ConfigError
@@ -13,7 +14,6 @@ from npred.operators.scaling import Scaling
 from npred.operators.weights import Weights, check_anchor
 from npred.plants.base import Plant
 from npred.registry import NETWORKS
-from npred.symbolic import source_lines
 
 NODES = 5  # of the tiny batch that a network is asked on
 

@@ -108,20 +108,19 @@ def named() -> list[dict[str, Any]]:
 
     One that cannot be made, of a package that fails on import say, has its name and `error`, a sentence.
     """
-    return [_summary(name) for name in names()]
+    rows: list[dict[str, Any]] = []
+    for name in names():
+        try:
+            p = resolve(name)
+            rows.append({"name": name, "states": [*p.states], "inputs": [*p.inputs], "parameters": p.parameters})
+        except ConfigError as error:
+            rows.append({"name": name, "error": str(error)})
+    return rows
 
 
 def names() -> list[str]:
     """The plants that have a name: built in, or of installed packages, of which nothing is imported."""
     return [*_builtin(), *(name for name in registry.PLANTS.names() if name not in _builtin())]
-
-
-def _summary(name: str) -> dict[str, Any]:
-    try:
-        p = resolve(name)
-    except ConfigError as error:
-        return {"name": name, "error": str(error)}
-    return {"name": name, "states": list(p.states), "inputs": list(p.inputs), "parameters": p.parameters}
 
 
 def is_builtin(name: object) -> bool:

@@ -6,16 +6,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import registry
+from npred import registry, source_lines
 from npred.errors import ConfigError
+from npred.notebook import InNotebook
 from npred.plants import declaration as declared
-from npred.plants import newton
 from npred.registry import Source
-from npred.symbolic import Array, Value, array_math, programs, source_lines
+from npred.symbolic import Array, Value, array_math, programs
 from npred.symbolic.declared import Components, call
 from npred.symbolic.tape import Functions, names
 from npred.symbolic.trace import Trace, python
-from npred.terminal.notebook import InNotebook
+
+REST = 1e-9  # of max(1, |X|): below this residual X rests
 
 
 class Plant(InNotebook):
@@ -34,9 +35,7 @@ class Plant(InNotebook):
     """
 
     traced: ClassVar[bool] = True
-    spec: str | None = (
-        None  # what npred.plants.resolve takes for it, in another process say; None for a script's own class
-    )
+    spec: str | None = None  # what npred.plants.resolve takes for it, in another process say; a script's own has none
     law_table: Mapping[str, Any] = {}  # the name of the law that was designed for it, and what that took
 
     def __init__(
@@ -136,7 +135,6 @@ class Plant(InNotebook):
 
     def delay(self, X: Array, t: Value = 0.0) -> Array:
         """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it. Raises ConfigError for another."""
-        self._declares("delay")
         return self._stacked("delay", X, None, t)[..., 0]
 
     def output(self, X: Array, t: Value = 0.0) -> Array:
@@ -148,7 +146,6 @@ class Plant(InNotebook):
 
         Raises ConfigError for another plant.
         """
-        self._declares("safe")
         return self._stacked("safe", X, None, t)
 
     @cached_property
@@ -164,22 +161,19 @@ class Plant(InNotebook):
         """The components of a state after a step, each within `state_bounds`; what is not finite stays visible."""
         if not self.state_bounds:
             return x
-        ends = [self.state_bounds.get(name, (-np.inf, np.inf)) for name in self.states]
         components = list(x)
-        for k, (low, high) in enumerate(ends):
+        for k, name in enumerate(self.states):
+            low, high = self.state_bounds.get(name, (-np.inf, np.inf))
             if low > -np.inf:
                 components[k] = M.where(components[k] < low, low, components[k])
             if high < np.inf:
                 components[k] = M.where(components[k] > high, high, components[k])
         return components
 
-    def _declares(self, name: str) -> None:
-        """Raise ConfigError unless the plant declares that function."""
-        if not hasattr(self.declaration, name):
-            raise ConfigError(f"plant {self.name}: expected {name}(x, t, p, M), found none; declare it")
-
     def _stacked(self, name: str, X: Array, u: Array | None, t: Value) -> Array:
         """A declared function, its values as the last axis; lists are taken as arrays."""
+        if not hasattr(self.declaration, name):
+            raise ConfigError(f"plant {self.name}: expected {name}(x, t, p, M), found none; declare it")
         X, u, t = map(array_math.taken, (X, u, t))
         values = self._on(name, X, u, t)
         return array_math.stack(values, X[..., 0])
@@ -207,7 +201,7 @@ class Plant(InNotebook):
             raise ConfigError(
                 f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
             )
-        X, residual, converged = newton.solve(self._at_rest, self.guess)
+        X, residual, converged = _root(self._at_rest, self.guess)
         if not converged:
             left = source_lines.values([f"{name}'" for name in self.states], residual)
             raise ConfigError(
@@ -399,6 +393,28 @@ class Plant(InNotebook):
             inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
             outputs = [*np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))]
         return "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
+
+
+def _root(
+    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """X by Newton's method, the residual there, and whether it is a root; `residual` gives value and Jacobian.
+
+    The step is halved while the residual grows; ends when a step no longer changes X.
+    """
+    X = guess.copy()
+    g, J = residual(X)
+    for _ in range(100):
+        if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
+            break
+        step, scale = np.linalg.solve(J, g), 1.0
+        while scale > 1e-8 and not np.linalg.norm(residual(X - scale * step)[0]) <= np.linalg.norm(g):
+            scale /= 2
+        if scale <= 1e-8 or np.array_equal(X - scale * step, X):
+            break
+        X = X - scale * step
+        g, J = residual(X)
+    return X, g, bool(np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))))
 
 
 def require(plant: object) -> None:

@@ -132,27 +132,26 @@ class BlackBox(Plant):
 
         Raises ConfigError where it fails in every row and at the guess too, for that is no matter of the state.
         """
-        values = np.full(shape, np.nan)
-        defined = [self._row(name, arguments, slice(k, k + 1), values) for k in range(shape[0])]
-        if not any(defined):
-            harmless = [self._at_guess(k, a) for k, a in enumerate(arguments)]
-            if not self._row(name, harmless, slice(0, 1), np.empty((1, *shape[1:]))):
+        values, defined = np.full(shape, np.nan), False
+        batched = [isinstance(a, np.ndarray) and a.ndim > 0 for a in arguments]  # neither numbers nor the parameters
+        for k in range(shape[0]):
+            row = slice(k, k + 1)
+            try:
+                values[row] = self._declared(
+                    name, [a[row] if b else a for a, b in zip(arguments, batched, strict=True)]
+                )
+                defined = True
+            except UNDEFINED:
+                continue
+        if not defined:  # X at the guess, all else zero
+            harmless = [np.zeros_like(a[:1]) if b else a for a, b in zip(arguments, batched, strict=True)]
+            if batched[0] and arguments[0].ndim == 2:
+                harmless[0] = self.guess[None]
+            try:
+                self._declared(name, harmless)
+            except UNDEFINED:
                 raise failure(self, name, error) from None
         return values
-
-    def _row(self, name: str, arguments: list[Argument], row: slice, values: np.ndarray) -> bool:
-        """Write the values of one row where the function is defined there, and say whether it is."""
-        try:
-            values[row] = self._declared(name, [a[row] if _batched(a) else a for a in arguments])
-        except UNDEFINED:
-            return False
-        return True
-
-    def _at_guess(self, k: int, argument: Argument) -> Argument:
-        """One row of the k-th argument where nothing is extreme: X at the guess, all else zero."""
-        if not _batched(argument):
-            return argument
-        return self.guess[None] if k == 0 and argument.ndim == 2 else np.zeros_like(argument[:1])
 
     @property
     def clocked(self) -> bool:
@@ -189,11 +188,6 @@ class BlackBox(Plant):
                 what = f"expected a file to read at {path}, got: {error.strerror}"
                 raise ConfigError(f"plant {self.name}: files {what}; fix the path") from None
         return {"source": self.source.sha256} | {name: content.hexdigest() for name, content in contents.items()}
-
-
-def _batched(argument: Argument) -> bool:
-    """True if it is an array of rows, and neither a number nor the parameters."""
-    return isinstance(argument, np.ndarray) and argument.ndim > 0
 
 
 @np.errstate(all="ignore")

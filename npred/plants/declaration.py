@@ -48,19 +48,20 @@ def _pairs(value: Any) -> Any:
     return _listed(value)
 
 
-def _is_name(word: str) -> bool:
-    return word.isidentifier() and not iskeyword(word) and not word.startswith("_")
-
-
-def _is_text(words: str) -> bool:
-    return words.isprintable() and len(words) <= LONGEST and not MARKUP & set(words)
-
-
 LIST, STRICT = BeforeValidator(_listed), Field(strict=True)
 DIFFERENT = expected('different names, as ("h",)', "write them", lambda names: 0 < len(names) == len(set(names)))
 IN_ORDER = expected("a range (low, high) with low <= high", "write both", lambda ends: ends[0] <= ends[1])
-LINE = f"up to {LONGEST} letters on one line, without $ and backslash"
-Name = Annotated[str, STRICT, expected("a name that Python accepts", "rename it", _is_name)]
+IS_NAME = expected(
+    "a name that Python accepts",
+    "rename it",
+    lambda word: word.isidentifier() and not iskeyword(word) and not word.startswith("_"),
+)
+IS_LINE = expected(
+    f"up to {LONGEST} letters on one line, without $ and backslash",
+    "shorten it",
+    lambda words: words.isprintable() and len(words) <= LONGEST and not MARKUP & set(words),
+)
+Name = Annotated[str, STRICT, IS_NAME]
 Names = Annotated[tuple[Name, ...], LIST, DIFFERENT]
 Number = Annotated[float, expected("a number", "write one")]
 Finite = Annotated[float, expected("a finite number", "write one", math.isfinite)]
@@ -75,7 +76,7 @@ Ranges = Annotated[dict[str, Range], expected('ranges as {"h": (0.0, 1.0)}', "wr
 FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 Parameters = Annotated[dict[Name, Finite], expected('a table {"a": 1.0}', "write a dict")]
-Text = Annotated[str, STRICT, AfterValidator(lambda text: text.strip()), expected(LINE, "shorten it", _is_text)]
+Text = Annotated[str, STRICT, AfterValidator(lambda text: text.strip()), IS_LINE]
 Texts = Annotated[dict[str, Text], expected('texts as {"h": "m"}', "write a dict")]
 Function = Annotated[Callable[..., Any], expected("a function", "write one with def")]
 
@@ -159,16 +160,13 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
     try:
         return Declaration.model_validate(parts)
     except ValidationError as error:
-        raise ConfigError(f"plant {plant}: {_sentence(error)}") from None
-
-
-def _sentence(error: ValidationError) -> str:
-    first = error.errors()[0]
+        first = error.errors()[0]
     part, *items = first["loc"] or ("",)
     if first["type"] == "missing":
-        return f"expected states, inputs, f, found no {part}; declare it"
+        raise ConfigError(f"plant {plant}: expected states, inputs, f, found no {part}; declare it")
     where = "".join(f"[{item!r}]" for item in items if item != "[key]")
-    return " ".join(f"{part}{where}: {first['msg'].removeprefix('Value error, ')}".removeprefix(": ").split())
+    sentence = f"{part}{where}: {first['msg'].removeprefix('Value error, ')}".removeprefix(": ")
+    raise ConfigError(f"plant {plant}: {' '.join(sentence.split())}")
 
 
 def completed(plant: str, declaration: Any, kappa: Function | None = None) -> Any:
@@ -177,19 +175,16 @@ def completed(plant: str, declaration: Any, kappa: Function | None = None) -> An
     """
     parts: dict[str, Any] = {} if kappa is None else {"kappa": kappa}
     if kappa is None and getattr(declaration, "kappa", None) is None:
-        parts["kappa"] = _absent(plant)
+        cure = 'declare it, or set kappa = "lqr" (--set kappa=lqr); npred plants check offers one'
+
+        def absent(*_: Any) -> Any:
+            raise ConfigError(f"plant {plant}: expected kappa(x, t, p, M), found none; {cure}")
+
+        parts["kappa"] = absent
     if getattr(declaration, "V", None) is None:
         parts["V"] = _zero
     functions = {name: staticmethod(function) for name, function in parts.items()}
     return type(declaration.__name__, (declaration,), functions) if functions else declaration
-
-
-def _absent(plant: str) -> Function:
-    def kappa(*_: Any) -> Any:
-        cure = 'declare it, or set kappa = "lqr" (--set kappa=lqr); npred plants check offers one'
-        raise ConfigError(f"plant {plant}: expected kappa(x, t, p, M), found none; {cure}")
-
-    return kappa
 
 
 def _zero(x: Any, t: Any, p: Any, M: Any = None) -> Any:

@@ -2,18 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias, TypeGuard
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks, randomness
+from npred import array_checks, randomness, source_lines
 from npred.errors import ConfigError, unlisted
 from npred.plants.base import Plant
-from npred.symbolic import source_lines
-
-if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
-    from npred.config import Loop
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # of an input: this close to a bound it is on it
@@ -85,16 +81,12 @@ class Past:
             return np.stack([self._at((k + 0.5) * dt) for k in range(-count, 0)])[:, :, None] + 0.0 * constant
         edges = np.arange(-count, 1)[:, None] * dt  # of the control steps
         position = len(self.course) * (1.0 + edges / np.maximum(self.span, np.finfo(float).tiny))  # in rows, (., B)
-        total = self._sum(position)
-        means = (total[1:] - total[:-1]) / np.diff(position, axis=0)[..., None]
-        return np.moveaxis(means, -1, 1)
-
-    def _sum(self, position: np.ndarray) -> np.ndarray:
-        """The rows' sum up to a position (., B), whole and parts: (., B, m); below 0 the first row goes on."""
-        assert isinstance(self.course, np.ndarray)
         row = np.clip(np.floor(position).astype(int), 0, len(self.course) - 1)
         sums = np.concatenate([np.zeros((1, self.course.shape[1])), np.cumsum(self.course, axis=0)])
-        return sums[row] + (position - row)[..., None] * self.course[row]
+        # the rows' sum up to a position, whole and parts, (., B, m); below 0 the first row goes on
+        total = sums[row] + (position - row)[..., None] * self.course[row]
+        means = (total[1:] - total[:-1]) / np.diff(position, axis=0)[..., None]
+        return np.moveaxis(means, -1, 1)
 
     def _at(self, t: float) -> np.ndarray:
         """The function's input at t. Raises ConfigError for another shape, or a value outside the limits."""
@@ -137,11 +129,11 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     return _accepted(plant, np.broadcast_to(array, (plant.m,)), limits, "")
 
 
-def configured(plant: Plant, loop: "Loop", stage: str) -> Start:
+def configured(plant: Plant, u0: Given, input_bounds: ArrayLike | None, stage: str) -> Start:
     """The `start` of a stage's loops. Raises ConfigError, naming the stage's table, also where nothing rests."""
     try:
-        limits = bounds(plant, loop.input_bounds)
-        commands = start(plant, loop.u0, limits)
+        limits = bounds(plant, input_bounds)
+        commands = start(plant, u0, limits)
         if isinstance(commands, str) and commands == EQUILIBRIUM:
             _at_rest(plant, limits)
     except ConfigError as error:
@@ -178,8 +170,11 @@ def before(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray) -> np.nd
     value = start(plant, u0, limits)
     if callable(value) or _is_table(value):
         raise ConfigError("u0: expected a constant input, got a history; give numbers, or a word")
+    if isinstance(value, str) and value == LAW:
+        with np.errstate(all="ignore"):  # a loop that starts where kappa is undefined is NaN from the start
+            return np.clip(plant.kappa(X0, 0.0), *limits.T)
     if isinstance(value, str):
-        value = _at_rest(plant, limits) if value == EQUILIBRIUM else _of_law(plant, limits, X0)
+        value = _at_rest(plant, limits)
     return np.array(np.broadcast_to(value, (len(X0), plant.m)))
 
 
@@ -197,11 +192,6 @@ def sentence(plant: Plant, u0: Given, limits: np.ndarray) -> str:
 
 def _is_table(value: object) -> TypeGuard[np.ndarray]:
     return isinstance(value, np.ndarray) and value.ndim == 2
-
-
-def _of_law(plant: Plant, limits: np.ndarray, X0: np.ndarray) -> np.ndarray:
-    with np.errstate(all="ignore"):  # a loop that starts where kappa is undefined is NaN from the start
-        return np.clip(plant.kappa(X0, 0.0), *limits.T)
 
 
 def _at_rest(plant: Plant, limits: np.ndarray) -> np.ndarray:

@@ -8,14 +8,14 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks
-from npred.delays import family_of
+from npred import array_checks, source_lines
+from npred.delays import problem_of
 from npred.delays.family import Step, rows
 from npred.errors import ConfigError
+from npred.notebook import InNotebook
 from npred.plants.base import Plant
 from npred.predictors.single import SingleCalls
-from npred.symbolic import Array, Value, called_functions, source_lines
-from npred.terminal.notebook import InNotebook
+from npred.symbolic import Array, Value, called_functions
 
 Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
 
@@ -57,14 +57,19 @@ class Predictor(InNotebook, ABC):
         """The shape of a batch, and X (B, n), u (B, nx, m), D_hat and t (B,) of it. Raises as a call does."""
         X, D_hat, t = (array_checks.floats(name, a) for name, a in (("X", X), ("D_hat", D_hat), ("t", t)))
         u = array_checks.nodes("u", u, self.plant.m)
-        self._check(X, u)
+        n, m = self.plant.n, self.plant.m
+        if X.ndim < 1 or X.shape[-1] != n:
+            raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
+        if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
+            raise ConfigError(
+                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
+            )
+        # the time of samples from elsewhere may be unknown, where nothing needs it
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
-            array_checks.finite(
-                name, array
-            )  # the time of samples from elsewhere may be unknown, where nothing needs it
+            array_checks.finite(name, array)
         array_checks.delays("D_hat", D_hat)
         shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], D_hat=D_hat.shape, t=t.shape)
-        X = np.broadcast_to(X, (*shape, self.plant.n)).reshape(-1, self.plant.n)
+        X = np.broadcast_to(X, (*shape, n)).reshape(-1, n)
         u = np.broadcast_to(u, (*shape, *u.shape[-2:])).reshape(-1, *u.shape[-2:])
         return shape, (X, u, *(np.broadcast_to(a, shape).reshape(-1) for a in (D_hat, t)))
 
@@ -100,15 +105,6 @@ class Predictor(InNotebook, ABC):
             came = f"shape {P.shape}" if hasattr(P, "shape") else f"a {type(P).__name__}"
             raise ConfigError(f"{type(self).__name__}.predict: expected to return P {shape}, (B, nx, n), got {came}")
         return P
-
-    def _check(self, X: np.ndarray, u: np.ndarray) -> None:
-        n, m = self.plant.n, self.plant.m
-        if X.ndim < 1 or X.shape[-1] != n:
-            raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
-        if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
-            raise ConfigError(
-                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
-            )
 
 
 class Compiled(Predictor):
@@ -172,7 +168,7 @@ class OneStep(Compiled):
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
-        family_of(plant).needs(self.name)
+        problem_of(plant).needs(self.name)
 
     @staticmethod
     @abstractmethod
@@ -220,11 +216,11 @@ class OneStep(Compiled):
         return len(times)
 
     def compile(self) -> Callable[..., None]:
-        return family_of(self.plant).sweep(self.step)
+        return problem_of(self.plant).sweep(self.step)
 
     def cells(self) -> Callable[..., None]:
         """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
-        return family_of(self.plant).sweep(self.step, cells=True)
+        return problem_of(self.plant).sweep(self.step, cells=True)
 
     @classmethod
     def operations(cls, plant: Plant) -> int:

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.errors import ConfigError
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
@@ -55,7 +55,7 @@ class Coarse(Compiled):
         super().__init__(plant, nx)
         self.method, self.count = method(plant), count
         self.name = f"{method.name} on {count} cells"  # type: ignore[misc]
-        if not family_of(plant).reads_cells:
+        if not problem_of(plant).reads_cells:
             raise ConfigError(f"coarse: expected a traced plant with one constant delay, got {plant.name}; use rk4")
 
     def compile(self) -> Kernel:

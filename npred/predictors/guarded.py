@@ -1,21 +1,24 @@
 """A predictor that is checked in every call: where its error in U may be above a tolerance, numerics answer instead."""
 
+import ctypes
 from collections.abc import Callable
 from functools import cached_property
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from npred import array_checks, grid
 from npred.data.domain import Domain
-from npred.delays import family_of
+from npred.delays import family, problem_of
 from npred.delays.family import Kernel, by_time
 from npred.errors import ConfigError
+from npred.kernels.callback import Failure, callback
+from npred.kernels.kernel import made, skeleton
+from npred.plants.base import Plant
 from npred.predictors.base import Compiled, OneStep, Predictor
 from npred.predictors.coarse import LADDER, Coarse, Examples, one_step
-from npred.predictors.guard_kernel import HEAD, LEVELS, kernel
 from npred.predictors.runge_kutta import RK4
 from npred.predictors.single import SingleCalls
 
@@ -25,6 +28,10 @@ METHODS = ("rk4", "semi_implicit", "rosenbrock")  # by which shadows may be take
 FEWEST = 5  # nodes
 FEW = 0.01  # of the examples: for so many the shadows may not decide
 WORTH = 0.4  # of the operations of `exact`: what the shadows of the first level may take
+LEVELS = 4  # of grids that the settings have room for
+HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
+SHADOWS = 4  # predictions side by side, of a method whose steps tell their error; there is one of any other
+POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
 
 
 class Guarded(Predictor):
@@ -101,36 +108,25 @@ class Guarded(Predictor):
         inputs do together, on both grids alike: shadows are then on all nodes, and on twice as many intervals.
         """
         last = self.nx - 1
-        if self.domain is None or not family_of(self.plant).reads_cells:
+        if self.domain is None or not problem_of(self.plant).reads_cells:
             name = self.exact.name if self.exact.name in self._methods else METHODS[0]
             return name, [last, 2 * last]
-        P, worth = self.exact(*self.examples.calls), WORTH * self._exact_operations
+        # Where RK4 answers in the network's place, the plant is not stiff: implicit methods are not even compiled.
+        names = METHODS[:1] if self.exact.name == METHODS[0] else self._methods
+        each = {name: one_step(name).operations(self.plant) * one_step(name).steps_of_pair for name in names}
+        counts = [count for count in LADDER if 2 * count < self.nx]
+        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)  # else it is not known
+        P, worth = self.exact(*self.examples.calls), WORTH * counted.call_operations(self.nx - 1)
         tried: list[tuple[float, float, str, int]] = []
-        for cost, name, first in self._ladder():
+        for cost, name, first in sorted((count * cost, name, count) for name, cost in each.items() for count in counts):
             if cost > worth and any(undecided < 0.5 for undecided, *_ in tried):
                 break
             if any(undecided <= FEW and total < cost for undecided, total, *_ in tried):
                 break  # what comes costs more
-            tried.append((*self._undecided(P, name, self._levels(first)), name, first))
+            tried.append((*self._undecided(P, name, [first * 2**k for k in range(LEVELS)]), name, first))
         enough = min(undecided for undecided, *_ in tried) + FEW
         _, name, first = min((cost, name, first) for undecided, cost, name, first in tried if undecided <= enough)
-        return name, self._levels(first)
-
-    def _ladder(self) -> list[tuple[int, str, int]]:
-        """The operations on the intervals of a first level, and the method, the cheapest first.
-
-        Where RK4 answers in the network's place, the plant is not stiff: implicit methods are not even compiled.
-        """
-        names = METHODS[:1] if self.exact.name == METHODS[0] else self._methods
-        kinds = {name: one_step(name) for name in names}
-        each = {name: kind.operations(self.plant) * kind.steps_of_pair for name, kind in kinds.items()}
-        return sorted(
-            (count * cost, name, count) for name, cost in each.items() for count in LADDER if 2 * count < self.nx
-        )
-
-    def _levels(self, first: int) -> list[int]:
-        """The intervals of each level, twice those of the one before."""
-        return [first * 2**k for k in range(LEVELS)]
+        return name, [first * 2**k for k in range(LEVELS)]
 
     def _undecided(self, P: np.ndarray, name: str, levels: list[int]) -> tuple[float, float]:
         """The share of the examples, whose predictions are P, that no level decides, and the operations of one call."""
@@ -141,12 +137,6 @@ class Guarded(Predictor):
             settings = self._set(self.threshold / 2, [*pair], self.domain)
             left &= self._run(settings, P, *self.examples.calls, run=self._kernel(name))[2]
         return float(left.mean()), steps * kind.operations(self.plant) * kind.steps_of_pair
-
-    @property
-    def _exact_operations(self) -> int:
-        """Those of a call of what answers in the network's place; of one whose are not known, those of RK4."""
-        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)
-        return counted.call_operations(self.nx - 1)
 
     @cached_property
     def examples(self) -> Examples:
@@ -160,13 +150,13 @@ class Guarded(Predictor):
         """What answers where the guard doubts: RK4 on all nodes, or, where the examples of the data are too stiff for
         50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
         """
-        if self._exact is None and self.domain is not None and family_of(self.plant).reads_cells:
+        if self._exact is None and self.domain is not None and problem_of(self.plant).reads_cells:
             return self.examples.exact(self._methods[1:], SHARE * self.tolerance)
         return self._exact or RK4(self.plant, self.nx)
 
     @property
     def _methods(self) -> list[str]:
-        return [name for name in METHODS if family_of(self.plant).refusal(name) is None]
+        return [name for name in METHODS if problem_of(self.plant).refusal(name) is None]
 
     @cached_property
     def _kernels(self) -> dict[str, Kernel]:
@@ -241,6 +231,45 @@ class Guarded(Predictor):
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
         return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.T.ravel()) if domain else ())])
+
+
+def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..., None]:
+    """GUARD of a plant: its parts compiled into it, or, where the plant is not traced, called back."""
+    model, n, m, phased = problem_of(plant), plant.n, plant.m, plant.phased
+    cells, signed = model.reads_cells, method.paired
+    reference = model.sweep(method.shadow(), cells, more=1) if signed else method(plant).cells()
+    parts: dict[str, Any] = {"CONTROL": model.control(RK4.step), "EXACT": exact.lanes(), "REFERENCE": reference}
+    compiled, shadows = parts if plant.traced else {}, SHADOWS if signed else 1
+
+    def work(nx: int, lanes: int, settings: np.ndarray) -> int:
+        finest = int(settings[3:HEAD].max()) + 1
+        side = shadows + (cells and signed)
+        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # of a lane, and what its levels share
+        grid = finest * (2 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
+        rest = [part.work(max(nx, finest), max(lanes, side), None) for part in compiled.values()]
+        return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
+
+    sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
+    sizes |= {
+        "ON_CELLS": int(cells),
+        "SIGNED": int(signed),
+        "SHADOWS": shadows,
+        "ORDER": method.order,
+        "LEVELS": LEVELS,
+    }
+    sizes |= {} if plant.traced else {"FOREIGN": ""}
+    guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
+    if plant.traced:
+        return guard
+
+    def guarded(*values: Any) -> None:  # its scratch memory begins with the addresses of the parts
+        failure = Failure()
+        pointers = [callback(part, POINTERS[name], {"p": plant.p}, failure) for name, part in parts.items()]
+        addresses = [ctypes.cast(pointer, ctypes.c_void_p).value for pointer in pointers]
+        guard(*values, scratch=np.array(addresses, dtype=np.uint64).view(np.float64))
+        failure.raised()
+
+    return guarded
 
 
 def bare(predictor: Predictor) -> Predictor:

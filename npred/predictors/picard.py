@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import DivergedError
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled
@@ -22,7 +22,7 @@ class Picard(Compiled):
 
     def __init__(self, plant: Plant, nx: int = 101, tolerance: float = 1e-12, sweeps: int = 200):
         super().__init__(plant, nx)
-        family_of(plant).needs(self.name)
+        problem_of(plant).needs(self.name)
         self.tolerance, self.sweeps = tolerance, sweeps
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
@@ -36,4 +36,4 @@ class Picard(Compiled):
         return P
 
     def compile(self) -> Callable[..., None]:
-        return family_of(self.plant).picard(self.tolerance, self.sweeps)
+        return problem_of(self.plant).picard(self.tolerance, self.sweeps)

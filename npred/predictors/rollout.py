@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 
@@ -17,7 +17,7 @@ class Rollout(Predictor):
 
     def __init__(self, plant: Plant, nx: int = 101):
         super().__init__(plant, nx)
-        family_of(plant).needs(self.name)
+        problem_of(plant).needs(self.name)
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self.plant.rollout(X, u, D_hat, t)

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.plants.base import Plant
 from npred.predictors.base import OneStep
 from npred.symbolic import Array, Value, called_functions, ldl
@@ -34,10 +34,10 @@ class SemiImplicit(OneStep):
         plant.check_mechanics()
 
     def compile(self) -> Callable[..., None]:
-        return family_of(self.plant).paired(self.chains)
+        return problem_of(self.plant).paired(self.chains)
 
     def cells(self) -> Callable[..., None]:
-        return family_of(self.plant).paired(self.chains, cells=True)
+        return problem_of(self.plant).paired(self.chains, cells=True)
 
     @classmethod
     def operations(cls, plant: Plant) -> int:

@@ -10,10 +10,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
 
-from npred import json_files
+from npred import json_files, notebook
 from npred.defaults import RESULT
 from npred.errors import StoreError
-from npred.terminal import notebook
 
 
 def _number(value: Any) -> Any:

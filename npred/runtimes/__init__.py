@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.operators import TrainedOperator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
@@ -23,7 +23,7 @@ def predictor(
     Raises ConfigError for another name or a class that is no Predictor, MissingError for torch or onnx without its
     extra.
     """
-    if runtime is None and device == "cpu" and lowering(operator) and not family_of(plant).refusal("fused"):
+    if runtime is None and device == "cpu" and lowering(operator) and not problem_of(plant).refusal("fused"):
         return Loaded(plant, operator, nx, name=name)
     kind = RUNTIMES.subclass("runtime", runtime or "torch", Predictor)
     return kind(plant, operator if issubclass(kind, Fused) else operator.module(plant), nx, name=name, device=device)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import npred
-from npred.delays import family_of
+from npred import source_lines
+from npred.delays import problem_of
 from npred.errors import ConfigError, unlisted
 from npred.exports import Exported, WholeController
 from npred.kernels.c_text import comment, constant, literal, single
@@ -18,7 +19,6 @@ from npred.loop.controller import SNAP, Controller
 from npred.predictors.guarded import bare
 from npred.runtimes import c_files, self_test
 from npred.runtimes.fused import Fused
-from npred.symbolic import source_lines
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
@@ -43,7 +43,7 @@ def sources(
         raise ConfigError(f"name: expected a short C identifier in lower case, got {name!r}; take npred")
     if precision not in PRECISIONS:
         raise ConfigError(unlisted("precision", precision, PRECISIONS))
-    family_of(controller.plant).needs(WHAT)
+    problem_of(controller.plant).needs(WHAT)
     if not controller.predictor.compiled:
         raise ConfigError(
             f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "

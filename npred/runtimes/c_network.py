@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from npred import grid
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import NpredError
 from npred.exports import Exported, TrainedNetwork
 from npred.kernels.c_text import comment, constant
@@ -59,7 +59,7 @@ def source(operator: TrainedOperator, plant: Plant, nx: int, samples: Samples) -
     Raises ConfigError for an untraced plant, for a delay that the plant declares with a law that depends on time, and
     for a network that cannot be lowered.
     """
-    family_of(plant).needs("export c")
+    problem_of(plant).needs("export c")
     require(operator, "export c", "use npred export onnx")
     n, m, count = plant.n, plant.m, len(samples[0])
     sizes = {"N_STATES": n, "M_INPUTS": m, "NX": nx, "SIZE_U": nx * m, "SIZE_P": nx * n, "SAMPLES": count}

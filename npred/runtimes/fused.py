@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from npred import grid
-from npred.delays import family, family_of
+from npred.delays import family, problem_of
 from npred.errors import ConfigError, installed
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
@@ -135,7 +135,7 @@ def fold(
     Raises ConfigError for a network without a program, a plant whose family has none, or whose time has no period.
     """
     plant.phase(0.0)
-    family_of(plant).needs("fused")
+    problem_of(plant).needs("fused")
     require(operator, "fold", "use the runtime torch or onnx")
     network, weights = import_module(lowering(operator)), operator.weights().exact(plant)
     rows = 2 if network.PAIRED and weights.anchor == "equilibrium" else 1

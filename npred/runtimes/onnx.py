@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from npred import grid
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import NpredError, required
 from npred.exports import Exported, TrainedNetwork
 from npred.operators import Operator
@@ -62,7 +62,7 @@ def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
     """
     for name in ("onnx", "onnxscript"):
         required("onnx", name, name, "onnx")
-    family_of(plant).needs("onnx")
+    problem_of(plant).needs("onnx")
     plant.phase(0.0)
     model = Deployed(operator, plant).eval()
     batch = torch.export.Dim("batch")

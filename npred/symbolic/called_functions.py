@@ -41,9 +41,7 @@ def composed(step: Step) -> Step:
     return step
 
 
-def stepped(
-    f: Trace | Step, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value
-) -> np.ndarray:  # fmt: skip
+def stepped(f: Trace | Step, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value) -> np.ndarray:
     """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called.
 
     f is that of a trace, or any other.
@@ -73,13 +71,18 @@ def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[
     """
     trace = Trace(plant)
     if step is not None:
-        return _step(trace, step, name.endswith("_held"))
+        n, m, held = plant.n * getattr(step, "whole", 1), plant.m, name.endswith("_held")
+        prefixes = "a" if held else "amb"
+        inputs = [trace.vector(prefix, m) for prefix in prefixes] * (3 if held else 1)
+        outputs = step(trace, trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
+        arguments = ["t", *names("x", n), *(name for prefix in prefixes for name in names(prefix, m))]
+        return [*arguments, *names("p", len(trace.parameters)), "h"], outputs
     x, u, v = trace.vector("x", plant.n), trace.vector("u", plant.m), trace.vector("d", plant.n)
     t, dt = trace.input("t"), trace.input("dt")
-    inputs = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
-    outputs = np.ravel(getattr(trace, name)(*inputs))
-    arguments = ["t", *names("x", plant.n), *(names("u", plant.m) if u is inputs[1] else [])]
-    arguments += names("p", len(plant.parameters)) + (["dt", *names("d", plant.n)] if inputs[-1] is dt else [])
+    read = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
+    outputs = np.ravel(getattr(trace, name)(*read))
+    arguments = ["t", *names("x", plant.n), *(names("u", plant.m) if u is read[1] else [])]
+    arguments += names("p", len(plant.parameters)) + (["dt", *names("d", plant.n)] if read[-1] is dt else [])
     return arguments, outputs
 
 
@@ -90,12 +93,3 @@ def reads_middle(plant: Declared, step: Step) -> bool:
     inputs = [trace.vector(prefix, plant.m) for prefix in "amb"]
     y = step(trace, trace.vector("x", plant.n), *inputs, trace.input("t"), trace.input("h"))
     return programs.depends(y, inputs[1])
-
-
-def _step(trace: Trace, step: Step, held: bool) -> tuple[list[str], np.ndarray]:
-    n, m = trace.plant.n * getattr(step, "whole", 1), trace.plant.m
-    prefixes = "a" if held else "amb"
-    inputs = [trace.vector(prefix, m) for prefix in prefixes] * (3 if held else 1)
-    outputs = step(trace, trace.vector("x", n), *inputs, trace.input("t"), trace.input("h"))
-    arguments = ["t", *names("x", n), *(name for prefix in prefixes for name in names(prefix, m))]
-    return [*arguments, *names("p", len(trace.parameters)), "h"], outputs

@@ -9,8 +9,9 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from npred import source_lines
 from npred.errors import ConfigError, similar
-from npred.symbolic import Parameters, Value, source_lines
+from npred.symbolic import Parameters, Value
 from npred.symbolic.tape import FUNCTIONS, Functions
 
 Components = list[Value] | None

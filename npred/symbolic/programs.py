@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from npred.symbolic import Value
-from npred.symbolic.tape import OPS, Arguments, Symbol, Tape, Vector, nonzero, tangent_of
+from npred.symbolic.tape import OPS, Symbol, Vector, nonzero, tangent_of
 
 
 def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Value]:
@@ -24,19 +24,15 @@ def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Value
             continue
         seeds = [tangent_of(a, tangents) for a in args]
         if op in ("call", "item") and any(nonzero(s) for s in seeds if not isinstance(s, str)):
-            tangents[index] = _of_function(tape, op, args, seeds)
+            if op == "item":  # of the function's derivative
+                tangents[index] = tape.node("item", (seeds[0], args[1]))
+                continue
+            name, direct = args[:2]
+            assert not any(nonzero(s) for s in seeds[2 + direct :]), f"d{name} is by its first {direct} arguments"
+            tangents[index] = tape.node("call", (f"d{name}", 0, *args[2:], *seeds[2 : 2 + direct]))
         elif any(nonzero(s) for s in seeds):
             tangents[index] = OPS[op].tangent(*args, Symbol(tape, index), *seeds)
     return [tangent_of(y, tangents) for y in outputs]
-
-
-def _of_function(tape: Tape, op: str, args: Arguments, seeds: list[Value]) -> Symbol:
-    """The tangent of a call, a call of the function's derivative, and of its items, the items of that."""
-    if op == "item":
-        return tape.node("item", (seeds[0], args[1]))
-    name, direct = args[:2]
-    assert not any(nonzero(s) for s in seeds[2 + direct :]), f"d{name} is by its first {direct} arguments"
-    return tape.node("call", (f"d{name}", 0, *args[2:], *seeds[2 : 2 + direct]))
 
 
 def _needed(outputs: Vector) -> list[int]:
@@ -64,22 +60,18 @@ def lines(
     assignments, names = [], {}
     for index in _needed(outputs):
         op, args = symbols[0].tape.nodes[index]
-        right = _right_side(op, args, names, bindings, texts)
+        match op:
+            case "input":
+                right = bindings.get(args[0], args[0])
+            case "call":
+                right = f"plant_{args[0]}({', '.join(_operand(a, names) for a in args[2:])})"
+            case "item":
+                right = f"{names[args[0].index]}[{args[1]}]"
+            case _:
+                right = texts.get(op, OPS[op].text).format(*(_operand(a, names) for a in args))
         names[index] = f"v{len(names)}"
         assignments.append(f"{names[index]} = {right}")
     return assignments + [f"{target} = {_operand(y, names)}" for target, y in zip(targets, outputs, strict=True)]
-
-
-def _right_side(
-    op: str, args: Arguments, names: dict[int, str], bindings: Mapping[str, str], texts: Mapping[str, str]
-) -> str:
-    if op == "input":
-        return bindings.get(args[0], args[0])
-    if op == "call":
-        return f"plant_{args[0]}({', '.join(_operand(a, names) for a in args[2:])})"
-    if op == "item":
-        return f"{names[args[0].index]}[{args[1]}]"
-    return texts.get(op, OPS[op].text).format(*(_operand(a, names) for a in args))
 
 
 def _operand(a: Value, names: dict[int, str]) -> str:

@@ -85,7 +85,11 @@ class Trace:
 
     def mechanics(self, x: np.ndarray, u: np.ndarray, t: Value) -> Mechanics:
         """M(q), force and damping at x, u, t. Raises ConfigError where their shapes do not fit the plant's states."""
-        positions, rates = self._positions()
+        state, inputs, time = self.symbols()
+        by_node = {symbol.index: k for k, symbol in enumerate(state)}
+        velocity = enumerate(self.f(state, inputs, time))  # positions are the states whose derivative is another state
+        pairs = [(k, by_node[v.index]) for k, v in velocity if getattr(v, "index", None) in by_node]
+        positions, rates = [k for k, _ in pairs], [j for _, j in pairs]
         values = self.plant.call("mechanics", list(x), list(u), t, self.parameters, tapes.M)
         shapes = [np.shape(np.array(value, dtype=object)) for value in values]
         size = len(rates)
@@ -96,14 +100,6 @@ class Trace:
             )
         inertia, force, damping = values
         return Mechanics(positions, rates, [list(row) for row in inertia], list(force), list(damping))
-
-    def _positions(self) -> tuple[list[int], list[int]]:
-        """The states whose derivative is another state, and those other states, in the same order."""
-        x, u, t = self.symbols()
-        by_node = {state.index: k for k, state in enumerate(x)}
-        velocity = self.f(x, u, t)
-        pairs = [(k, by_node[v.index]) for k, v in enumerate(velocity) if getattr(v, "index", None) in by_node]
-        return [k for k, _ in pairs], [j for _, j in pairs]
 
     def df(self, x: np.ndarray, u: np.ndarray, t: Value, v: np.ndarray, dt: Value = 0.0) -> np.ndarray:
         """f_X v + f_t dt, the change of f(x, u, t) as x moves along v and t by dt, both input symbols, shape (n,)."""

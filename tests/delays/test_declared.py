@@ -8,7 +8,7 @@ from varying_delays import InSpace, InTime, with_delay
 
 import npred
 from npred import plants
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.predictors import RK4, Euler, Heun
@@ -204,9 +204,9 @@ def test_files_whose_command_is_the_laws_at_t_plus_D_are_refused(part):
     """Where the law is free of time, or D a number, they hold; a fused network gives P alone."""
     for plant in (UNICYCLE, IN_TIME):
         with pytest.raises(ConfigError, match=rf"{part}: expected a law free of time, .* is read at s\(1\)"):
-            family_of(plant).needs(part)
-        family_of(plant).needs("fused")
-    family_of(plants.resolve("transport_tank")).needs(part)
+            problem_of(plant).needs(part)
+        problem_of(plant).needs("fused")
+    problem_of(plants.resolve("transport_tank")).needs(part)
 
 
 def test_the_delay_is_part_of_the_identity():

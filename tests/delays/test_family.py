@@ -8,7 +8,7 @@ import pytest
 
 import npred
 from npred import grid, plants
-from npred.delays import FAMILIES, family_of
+from npred.delays import PROBLEMS, problem_of
 from npred.errors import ConfigError
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
@@ -32,18 +32,18 @@ class OnArrays:
 EACH = {
     "ConstantDelay": plants.resolve("planar_arm2"),
     "DelayPerInput": plants.resolve("unicycle"),
-    "ArrayFamily": BlackBox("arrays", OnArrays),
+    "ArrayProblem": BlackBox("arrays", OnArrays),
 }
 
 
 @pytest.mark.parametrize("name", EACH)
 def test_one_family_serves_a_plant(name: str):
-    assert [family.__name__ for family in FAMILIES if family.serves(EACH[name])] == [name]
-    assert type(family_of(EACH[name])).__name__ == name
+    assert [kind.__name__ for kind in PROBLEMS if kind.serves(EACH[name])] == [name]
+    assert type(problem_of(EACH[name])).__name__ == name
 
 
 def test_what_a_family_lacks_is_refused_with_the_cure():
-    family = family_of(EACH["DelayPerInput"])
+    family = problem_of(EACH["DelayPerInput"])
     for kernel, cure in ((lambda: family.picard(1e-9, 9), "use rk4"), (family.update, "freeze the estimate")):
         with pytest.raises(ConfigError, match=rf"expected one delay, plant unicycle has delays 0.25 s, 0.6 s; {cure}"):
             kernel()
@@ -69,7 +69,7 @@ class Swelling:
 
 def test_a_prediction_is_corrected_to_second_order_from_the_state_on():
     """P in closed form; what is corrected starts at another state, and is wrong by half."""
-    correct, t, D_hat, X, errors = family_of(Plant("swelling", Swelling)).correction(), 0.7, 1.3, 0.8, []
+    correct, t, D_hat, X, errors = problem_of(Plant("swelling", Swelling)).correction(), 0.7, 1.3, 0.8, []
     for nx in (41, 81, 161):
         x = grid.nodes(nx)
         exact = X * np.exp((np.sin(3 * (t + D_hat * x)) - np.sin(3 * t)) / 3)

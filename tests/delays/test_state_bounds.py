@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.delays.family import BOUNDED
 from npred.errors import ConfigError
 from npred.plants import BlackBox, Plant
@@ -94,7 +94,7 @@ def test_what_is_not_finite_stays_visible():
 @pytest.mark.parametrize("part", BOUNDED)
 def test_what_reads_f_at_the_bound_is_refused_with_what_to_do(part):
     with pytest.raises(ConfigError, match="expected a plant without state_bounds, plant Slide has some; "):
-        family_of(PLANTS[0]).needs(part)
+        problem_of(PLANTS[0]).needs(part)
 
 
 def test_a_start_outside_is_refused():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred.kernels import compiler, grouped
+from npred.kernels import compiler, formula
 from npred.symbolic import called_functions
 
 SHIPPED = ["van_der_pol", "cart_pole", "unicycle", "pvtol", "chemostat", "planar_arm7", "xarm6"]
@@ -27,7 +27,7 @@ def test_lanes_side_by_side_are_those_one_by_one(lanes):
 
 def test_a_variable_that_outlives_a_call_is_an_array_and_another_is_not():
     program = ["v0 = x0", "v1 = v0 * v0", "v2 = plant_f(v1, (2.0))", "v3 = v2[1]", "v4 = v0 + v3", "y[0] = v4"]
-    text = "\n".join(grouped.body(program, {"f": 2}, lambda line: f"const double {line};"))
+    text = "\n".join(formula.grouped(program, {"f": 2}, lambda line: f"const double {line};"))
     assert "double v0[GROUP];" in text and "double v2[2][GROUP];" in text and "double q0[2][GROUP];" in text
     assert "    v0[l] = x0;" in text and "    const double v1 = v0[l] * v0[l];" in text
     assert "    q0[0][l] = v1;" in text and "    const double v3 = v2[1][l];" in text
@@ -41,7 +41,7 @@ def test_the_loops_over_lanes_of_shipped_plants_are_vectorised(name, tmp_path: P
     if "gcc" not in subprocess.run([*compiler.command(), "--version"], capture_output=True, text=True).stdout.lower():
         pytest.skip("asks gcc")
     plant = npred.plant(name)
-    family = npred.delays.family_of(plant)
+    family = npred.delays.problem_of(plant)
     for kernel in (family.sweep(npred.predictors.RK4.step), family.advance(npred.predictors.RK4.step)):
         (tmp_path / "kernel.c").write_text(kernel.unit)
         flags = [*compiler.FLAGS, "-fopt-info-vec-optimized", "kernel.c", "-o", "kernel.so", "-lm"]

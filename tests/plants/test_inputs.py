@@ -176,7 +176,7 @@ def test_a_history_that_the_plant_does_not_accept_is_refused(u0, words):
 def test_a_pipeline_names_a_history_by_its_rows():
     rows = [[300.0], [310.0], [320.0]]
     asked = pipeline(**LOOPS, u0=rows)
-    assert inputs.configured(REACTOR, asked.generate, "generate").tolist() == rows
+    assert inputs.configured(REACTOR, asked.generate.u0, asked.generate.input_bounds, "generate").tolist() == rows
     assert inputs.sentence(REACTOR, rows, inputs.bounds(REACTOR, None)) == "a history of 3 rows"
     answers = {answer.check: answer.verdict for answer in diagnosis.check(REACTOR, pipeline=asked)}
     assert answers["completeness"] == "yes"

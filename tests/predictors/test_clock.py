@@ -7,7 +7,7 @@ from driven import driven
 from operator_samples import EVERY, NETWORKS
 
 from npred import grid, plants, predictors
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.diagnosis import Case, pipeline_fit
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
@@ -70,7 +70,7 @@ PUSHED = Plant("pushed", Pushed)
 
 
 @pytest.mark.parametrize("lanes", [1, 70])
-@pytest.mark.parametrize("method", [name for name in METHODS.builtin if family_of(PUSHED).refusal(name) is None])
+@pytest.mark.parametrize("method", [name for name in METHODS.builtin if problem_of(PUSHED).refusal(name) is None])
 def test_each_node_is_predicted_at_its_time(method, lanes):
     """v and q in closed form, by one lane and by more than a block of them."""
     random, t, U, x = np.random.default_rng(3), 0.7, 0.4, grid.nodes(401)

@@ -13,7 +13,7 @@ from operator_samples import SMALL, operator
 from scipy.integrate import solve_ivp
 
 from npred import grid, plants, predictors
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
 from npred.loop.controller import Controller
@@ -24,7 +24,7 @@ from npred.stages.configuration import identity
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar", {"a": 0.8})
-SERVED = [name for name in METHODS.builtin if family_of(PLANT).refusal(name) is None]
+SERVED = [name for name in METHODS.builtin if problem_of(PLANT).refusal(name) is None]
 
 
 def predict(method, name, nx):

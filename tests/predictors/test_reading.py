@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 import npred
 from npred import grid, predictors
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.plants import Plant
 from npred.registry import METHODS
 
 INTEGRATOR = npred.plant("scalar", a=0.0)
-SERVED = [name for name in METHODS.builtin if name != "euler" and family_of(INTEGRATOR).refusal(name) is None]
+SERVED = [name for name in METHODS.builtin if name != "euler" and problem_of(INTEGRATOR).refusal(name) is None]
 values = st.lists(st.floats(-10, 10), min_size=2, max_size=12)
 
 

@@ -88,16 +88,6 @@ static inline void gains(Shape d, const Bank *b, int l, double X, double dt, con
     b->gap[l] = 0.0;
 }
 
-/* The smallest sum of all candidates for a state: over it errors of different units and noise are compared. */
-static inline double smallest(int K, ptrdiff_t states, const double *sums, double scale)
-{
-    double lowest = INFINITY;
-    for (int i = 0; i < K; i++) {
-        lowest = smaller(lowest, sums[i * states]);
-    }
-    return lowest + SMALLEST * scale * (SMALLEST * scale) + 1e-300;
-}
-
 /* The cost (K) of the candidates in a lane, their sums over a unit; the best candidate, and the largest cost. */
 static inline int compare(Shape d, int K, const double *sums, const double *unit, double *cost, double *largest)
 {
@@ -143,10 +133,14 @@ static inline void weigh(Shape d, const Bank *b, int l, const double *X, int fir
     const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes;
     for (int c = 0; c < d.n; c++) {
         const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
-        double error;
+        double lasting = INFINITY, error = INFINITY;
         b->scale[a] = larger(b->scale[a], fabs(X[a]));
-        b->floor[a] = smallest(b->K, states, b->lasting + a, b->scale[a]);
-        error = smallest(b->K, states, b->recent + a, b->scale[a]);
+        for (int i = 0; i < b->K; i++) {
+            lasting = smaller(lasting, b->lasting[i * states + a]);
+            error = smaller(error, b->recent[i * states + a]);
+        }
+        b->floor[a] = lasting + SMALLEST * b->scale[a] * (SMALLEST * b->scale[a]) + 1e-300;
+        error = error + SMALLEST * b->scale[a] * (SMALLEST * b->scale[a]) + 1e-300;
         if (first) {
             b->level[a] = error;
         }

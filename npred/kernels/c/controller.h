@@ -188,16 +188,6 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     c.stamp[CALLS] = 1.0;
 }
 
-/* Whether the sample Y is further than the gate from X, what the model says of it. */
-static inline int is_far(Shape d, const Settings *s, const double *Y, const double *X)
-{
-    int far = 0;
-    for (int c = 0; c < d.n; c++) {
-        far = far || fabs(Y[c] - X[c]) > larger(s->reach[c], s->gate * fabs(X[c]));
-    }
-    return s->gated && far;
-}
-
 /* What became of a sample. */
 enum { USED = 1, FAR = 2 };
 
@@ -297,9 +287,13 @@ static inline int compare_state(Shape d, double taken, double gate, Moment now, 
     const Clock c = clock_of(d, z->clock);
     const double *X = taken < now.at ? c.base : z->expected;
     const double first = isnan(c.refused[0]) ? taken : c.refused[0];
-    const int far = gate < INFINITY && is_far(d, s, z->Y, X), near = is_near(d, s, z->Y, 1.0);
-    const int jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z));
-    const int used = !far || jumped;
+    const int near = is_near(d, s, z->Y, 1.0);
+    int far = 0, jumped, used;
+    for (int i = 0; i < d.n && gate < INFINITY; i++) {
+        far = far || fabs(z->Y[i] - X[i]) > larger(s->reach[i], gate * fabs(X[i]));
+    }
+    jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z));
+    used = !far || jumped;
     if (jumped || (used && near && c.stamp[STRAY] > 0.0)) {
         c.stamp[STRAY] = near ? 0.0 : 1.0;
         forget_delay(s, z, c);
@@ -423,13 +417,14 @@ static inline void hand_over(Shape d, Moment now, const Parts *q, const Settings
 /* U, P and the next D_hat of a controller that is given u. */
 static inline int compute_measured(Shape d, INDEX k, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
+    const int count = s->observer_count;
     if (!all_finite(d.n, z->Y) || !all_finite(d.nx * d.m, z->u) || !all_finite(d.nx * d.m, z->u_nodes)) {
         return MEASUREMENT_NOT_FINITE;
     }
+    if (q->observe && !isnan(z->observer[count - 1]) && !all_finite(count, z->observer)) {
+        fill(count, NAN, z->observer); /* it begins anew */
+    }
     if (q->observe) {
-        if (!isnan(z->observer[s->observer_count - 1]) && !all_finite(s->observer_count, z->observer)) {
-            fill(s->observer_count, NAN, z->observer); /* it begins anew */
-        }
         q->observe(d, k, s->dt, z->Y, z->held, t, s->p, s->law, z->observer, z->D_hat, work);
     }
     decide(d, q, s, z, k, 0.0, t, work);
@@ -489,31 +484,20 @@ static inline int compute(Shape d, INDEX k, double t, int came, double age, cons
     return OK;
 }
 
-/* The U of a call that was refused: the last one, which the actuator holds. */
-static inline void hold(Shape d, double t, const Parts *q, const Settings *s, State *z, double *work)
-{
-    const double D_hat = z->D_hat[0];
-    if (q->believe && s->recalls) {
-        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
-        z->D_hat[0] = D_hat;
-    }
-    for (int c = 0; c < d.m; c++) {
-        z->U[c] = clock_of(d, z->clock).sent[c];
-        if (!q->believe) {
-            z->D_seen[c] = s->ratios[c] * z->D_hat[0];
-        }
-    }
-}
-
 /* Keep U as the command from now on, or the last one where the call was refused for a `code`. Positions and sums stay
  * small, for large ones round. */
 SPARE static inline void remember(Shape d, double t, int code, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
+    const double D_hat = z->D_hat[0];
     INDEX shift;
-    if (code != OK) {
-        hold(d, t, q, s, z, work);
+    if (code != OK && q->believe && s->recalls) {
+        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+        z->D_hat[0] = D_hat;
+    } else if (code != OK && !q->believe) {
+        own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
+    copy(code != OK ? d.m : 0, c.sent, z->U);
     for (int i = 0; i < d.m; i++) { /* no command that is kept acts later */
         c.D[i] = 0.0 <= z->D_seen[i] && z->D_seen[i] <= longest(d, s) ? z->D_seen[i] : 0.0;
     }

@@ -6,7 +6,7 @@
  * one does, those soft_i λ_i are small; they are solved for once more, which leaves about soft_i² λ_i. */
 #define ROOM 1e-6 /* of soft_i λ_i: above it no point keeps all */
 typedef struct {
-    int rows, size; /* conditions; components of δ */
+    int rows; /* conditions */
     double a[ROWS * M], b[ROWS], soft[ROWS];
 } Conditions;
 
@@ -37,7 +37,7 @@ static inline void solve_active(int count, const double *G, const double *b, dou
     }
 }
 
-/* Row i of A times row j, in the weights w. */
+/* Element (i, j) of G, in the weights w. */
 static inline double gram(const Conditions *q, const double *w, int i, int j)
 {
     double sum = i == j ? q->soft[i] : 0.0;

@@ -35,20 +35,6 @@ static inline double condition(Conditions *q, const double *w, const double *a, 
     return b / length;
 }
 
-/* The state x after a step of Heun's method, U held. */
-static inline void PART(_onward)(double t, double step, const double *p, const double *U, double *x)
-{
-    double rate[N], second[N], trial[N];
-    FLOW(1, 1, x, U, t, p, rate);
-    for (int c = 0; c < N; c++) {
-        trial[c] = x[c] + step * rate[c];
-    }
-    FLOW(1, 1, trial, U, t + step, p, second);
-    for (int c = 0; c < N; c++) {
-        x[c] += 0.5 * step * (rate[c] + second[c]);
-    }
-}
-
 /* The conditions of all ends on δ, linear around U + δ, of one lane, and the least h. Gives the most that U + δ misses. */
 static inline double PART(_conditions)(int lanes, const double *ends, const double *moments, const double *p,
                                        const double *safety, const double *now, const double *delta, Conditions *q,
@@ -66,8 +52,16 @@ static inline double PART(_conditions)(int lanes, const double *ends, const doub
             x[c] = ends[(e * N + c) * (ptrdiff_t)lanes];
         }
         for (int later = 0; later < 2; later++) {
-            if (later) {
-                PART(_onward)(t, step, p, U, x);
+            if (later) { /* a step of Heun's method, U held */
+                double rate[N], second[N], trial[N];
+                FLOW(1, 1, x, U, t, p, rate);
+                for (int c = 0; c < N; c++) {
+                    trial[c] = x[c] + step * rate[c];
+                }
+                FLOW(1, 1, trial, U, t + step, p, second);
+                for (int c = 0; c < N; c++) {
+                    x[c] += 0.5 * step * (rate[c] + second[c]);
+                }
             }
             BARRIER(1, 1, x, U, t + (double)later * step, safety[ALPHA], p, h, phi, a, pull);
             for (int k = 0; k < K; k++) {
@@ -84,29 +78,20 @@ static inline double PART(_conditions)(int lanes, const double *ends, const doub
     return missed;
 }
 
-/* The bounds of one lane as conditions. */
-static inline void PART(_bounds)(int lanes, const double *safety, const double *low, const double *high, const double *now,
-                                 const double *delta, Conditions *q)
+/* Find δ anew around the last one, within the bounds of U of one lane. Gives how far it moved, in widths of these. */
+static inline double PART(_solve)(int lanes, const double *w, const double *low, const double *high, const double *now,
+                                  Conditions *q, double *delta)
 {
-    double unit[M];
+    double next[M], moved = 0.0;
     for (int c = 0; c < 2 * M; c++) {
         const int i = c / 2, upper = c % 2;
         const double room = upper ? now[i] - high[i * lanes] : low[i * lanes] - now[i];
-        for (int k = 0; k < M; k++) {
-            unit[k] = k == i ? (upper ? -1.0 : 1.0) : 0.0;
-        }
+        double unit[M] = {0.0};
+        unit[i] = upper ? -1.0 : 1.0;
         if (isfinite(room)) {
-            condition(q, safety + WIDTHS, unit, room, delta, BOUND);
+            condition(q, w, unit, room, delta, BOUND);
         }
     }
-}
-
-/* Find δ anew around the last one, within the bounds of U. Gives how far it moved, in widths of these. */
-static inline double PART(_solve)(int lanes, const double *safety, const double *low, const double *high, const double *now,
-                                  const Conditions *q, double *delta)
-{
-    const double *w = safety + WIDTHS;
-    double next[M], moved = 0.0;
     nearest(q, w, next);
     for (int c = 0; c < M; c++) {
         next[c] = smaller(larger(now[c] + next[c], low[c * lanes]), high[c * lanes]) - now[c];
@@ -130,14 +115,13 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             within[c] = delta[c] = smaller(larger(now[c], low[c * lanes + l]), high[c * lanes + l]) - now[c];
         }
         for (int pass = 0; pass <= PASSES; pass++) {
-            Conditions q = {.rows = 0, .size = M};
+            Conditions q = {.rows = 0};
             kept[l] = INFINITY;
             missed = PART(_conditions)(lanes, ends + l, moments + l, p, safety, now, delta, &q, kept + l);
             if ((pass == 0 && !(missed > 0.0)) || moved < SETTLED || pass == PASSES) {
                 break;
             }
-            PART(_bounds)(lanes, safety, low + l, high + l, now, delta, &q);
-            moved = PART(_solve)(lanes, safety, low + l, high + l, now, &q, delta);
+            moved = PART(_solve)(lanes, safety + WIDTHS, low + l, high + l, now, &q, delta);
         }
         for (int c = 0; c < M; c++) {
             filtered[l] = delta[c] != within[c] ? 1.0 : filtered[l];

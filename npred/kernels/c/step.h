@@ -59,7 +59,7 @@ static inline void predict_end(Shape d, int e, double moved, INDEX k, double par
     }
     if (moved != 0.0) {
         own_history(d, s->ratios, D_hat, z->D_moved);
-        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved, z->u_nodes_moved);
+        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved);
         if (s->offsets) {
             offset(d, d.nx, 1.0, z->filter + d.n, z->u_moved);
         }
@@ -106,11 +106,14 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
     if (s->keeps) {
-        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
+        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u);
+    }
+    if (s->keeps && q->update) {
+        transport_nodes(d, k, part, s->dt, z->D_seen, z->held, z->u_nodes);
     }
     if (s->offsets) {
         offset(d, d.nx, 1.0, z->filter + d.n, z->u);
-        offset(d, d.nx, 1.0, z->filter + d.n, z->u_nodes);
+        offset(d, q->update ? d.nx : 0, 1.0, z->filter + d.n, z->u_nodes);
     }
     if (q->predict) {
         q->predict(d, z->X_hat, z->u, z->D_hat, t, s->p, z->P, work);

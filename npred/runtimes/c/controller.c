@@ -53,7 +53,6 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     state.moments = self->moments;
     state.P_moved = self->P_moved;
     state.u_moved = self->u_moved;
-    state.u_nodes_moved = self->u_nodes_moved;
 #endif
     return state;
 }

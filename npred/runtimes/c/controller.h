@@ -66,7 +66,7 @@ typedef struct {
 #if PROTECTS
     npred_real kept[1], filtered[1], unkept[1], low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
     npred_real ends[NPRED_ENDS * NPRED_N_STATES], moments[NPRED_ENDS], P_moved[NPRED_NX * NPRED_N_STATES];
-    npred_real u_moved[NPRED_NX * NPRED_M_INPUTS], u_nodes_moved[NPRED_NX * NPRED_M_INPUTS];
+    npred_real u_moved[NPRED_NX * NPRED_M_INPUTS];
 #endif
 #if TUNABLE
     struct {

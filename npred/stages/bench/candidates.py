@@ -13,7 +13,7 @@ from npred import grid, operators, randomness, runtimes
 from npred.conditions import box
 from npred.config import Bench, Pipeline
 from npred.data.dataset import Dataset
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.errors import EXTRAS, ConfigError, MissingError, installed
 from npred.kernels.kernel import address, bound
 from npred.operators import TrainedOperator
@@ -167,7 +167,7 @@ def one_step_methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
     and those that the pipeline takes.
     """
     kinds = {short_name(spec): method(spec) for spec in config.methods}
-    refusal = family_of(plant).refusal
+    refusal = problem_of(plant).refusal
     return {n: kind for n, kind in kinds.items() if issubclass(kind, OneStep | Rollout) and not refusal(kind.name)}
 
 

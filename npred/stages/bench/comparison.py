@@ -13,12 +13,12 @@ from npred.figures.table import Column, Table
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.loop.trajectory_views import pandas
+from npred.notebook import InNotebook
 from npred.plants import Plant
 from npred.plants.base import require
 from npred.predictors import RK4, Predictor
 from npred.stages.bench import break_even, timing
 from npred.stages.bench.candidates import PROBES, ErrorSizes, Reference
-from npred.terminal.notebook import InNotebook
 
 CALLS, SECONDS = 2000, 0.5  # of a predictor that are timed: so many, or as many as take so long
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from npred import grid, randomness
 from npred.config import Pipeline
-from npred.delays import family_of
+from npred.delays import problem_of
 from npred.loop import metrics
 from npred.predictors import OneStep, Predictor
 from npred.predictors.guarded import Guarded
@@ -84,7 +84,7 @@ def judged(
     the nodes do not say is no error of the network. An error that is not a number is infinite.
     """
     t, parts = np.broadcast_to(t, len(X)), []
-    by_lines = nearest and isinstance(exact, OneStep) and family_of(exact.plant).reads_cells
+    by_lines = nearest and isinstance(exact, OneStep) and problem_of(exact.plant).reads_cells
     for i in range(0, len(X), ROWS):
         rows = X[i : i + ROWS], u[i : i + ROWS], D_hat[i : i + ROWS], t[i : i + ROWS]
         P_hat = guard.model(*rows)

@@ -33,8 +33,12 @@ def run(job: Job) -> Generated:
     config = job.config.generate
     for doubt in diagnosis.doubts(job.plant, job.config):
         job.progress.warn(doubt)
-    if config.data:
-        return _imported(job, Path(config.data))
+    if config.data:  # the samples of a file instead of simulated ones
+        data = Dataset.read(Path(config.data))
+        data.fit(job.plant)
+        data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
+        test = np.unique(data.rollout[data.test == 1]).tolist()
+        return Generated(samples=len(data), rollouts=len(np.unique(data.rollout)), held_out=test, nx=data.u.shape[1])
     held_out = sampling.held_out(job.config.seed, config)
     size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
     if sharded.needed(job.plant, config):
@@ -49,16 +53,6 @@ def run(job: Job) -> Generated:
 def summary(result: Generated, width: int | None = None) -> str:
     samples, rollouts = counted(result.samples, "samples"), counted(result.rollouts, "rollouts")
     return f"{samples} of {rollouts} on {result.nx} nodes, {counted(len(result.held_out), 'rollouts')} held out"
-
-
-def _imported(job: Job, path: Path) -> Generated:
-    """The samples of a file instead of simulated ones."""
-    data = Dataset.read(path)
-    data.fit(job.plant)
-    data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
-    held_out = np.unique(data.rollout[data.test == 1]).tolist()
-    rollouts = len(np.unique(data.rollout))
-    return Generated(samples=len(data), rollouts=rollouts, held_out=held_out, nx=data.u.shape[1])
 
 
 def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tuple[int, Columns]]:

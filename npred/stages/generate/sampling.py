@@ -6,7 +6,7 @@ import numpy as np
 
 from npred import grid, randomness
 from npred.conditions import box
-from npred.config import Generate, Range
+from npred.config import Generate
 from npred.plants import Plant
 
 NEAREST = 0.01  # of `spread`: the smallest displacement of a row
@@ -16,10 +16,13 @@ SMOOTH = 6  # Legendre polynomials in a displacement of u
 def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.ndarray, ...]:
     """X0 (B, n), D and D_hat(0) (B,), sorted sample steps (B, S), each rollout's from its child seed."""
     low, high = box(plant, config, data=True).T
-    drawn = []
+    regular, drawn = config.rollouts - config.explorers, []
     for r in chunk:
         rng = randomness.generator(seed, "rollout", r)
-        D, D_hat = _delays(config, r)
+        D, D_hat = config.explore_D, config.explore_D_hat0
+        if r < regular:
+            D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
+            D_hat = config.D_hat0[r * len(config.D_hat0) // regular]
         X0, D0, D_hat0 = rng.uniform(low, high), rng.uniform(*D), rng.uniform(*D_hat)
         taken = np.sort(rng.choice(steps(config), samples(config, r), replace=False))
         drawn.append((X0, D0, D_hat0, np.pad(taken, (0, samples(config, 0) - len(taken)), mode="edge")))
@@ -91,12 +94,3 @@ def steps(config: Generate) -> int:
 def _spared(seed: int, regular: int, share: float) -> frozenset[int]:
     count = min(max(round(share * regular), 1), regular - 1)
     return frozenset(randomness.generator(seed, "held out").permutation(regular)[:count].tolist())
-
-
-def _delays(config: Generate, rollout: int) -> tuple[Range, Range]:
-    """The ranges of D and D_hat(0) of a rollout."""
-    regular = config.rollouts - config.explorers
-    if rollout >= regular:
-        return config.explore_D, config.explore_D_hat0
-    D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
-    return D, config.D_hat0[rollout * len(config.D_hat0) // regular]

@@ -56,7 +56,13 @@ def write(job: Job) -> int:
     sends the bytes of its shard back.
     """
     config, shards_at = job.config.generate, _shard_folder(job)
-    batches = list(enumerate(_batches(job.plant, config)))
+    # whole chunks of rollouts in each shard: a matter of the configuration alone
+    chunk = LANES * sampling.samples(config, 0) * shards.width(job.plant.n, job.plant.m, config.nx)
+    size = LANES * max(shards.SHARD // chunk, 1)
+    batches = [
+        (number, range(first, min(first + size, config.rollouts)))
+        for number, first in enumerate(range(0, config.rollouts, size))
+    ]
     missing = [batch for batch in batches if not _kept(shards_at.folder / shards.name(batch[0]))]
     about = attributes(job.plant, short_name(config.predictor))
     make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), shards_at, about)
@@ -68,17 +74,15 @@ def write(job: Job) -> int:
                 _durably(shards_at.folder / shards.name(number), methodcaller("write_bytes", content))
             bar.advance(len(batch))
     for number, _ in batches:
-        _link(shards_at.folder / shards.name(number), job.folder)
+        path = shards_at.folder / shards.name(number)
+        kept = next(path.parent.glob(f"{path.name}.*"))
+        try:  # a second name: an end that comes before the result is in the store loses no shard
+            os.link(kept, job.folder / path.name)
+        except OSError:  # a file system without links
+            shutil.copyfile(kept, job.folder / path.name)
     rows = [sum(sampling.samples(config, r) for r in batch) for _, batch in batches]
     shards.join(job.folder, rows, about)
     return len(batches)
-
-
-def _batches(plant: Plant, config: Generate) -> list[range]:
-    """The rollouts of each shard, whole chunks of them: a matter of the configuration alone."""
-    chunk = LANES * sampling.samples(config, 0) * shards.width(plant.n, plant.m, config.nx)
-    size = LANES * max(shards.SHARD // chunk, 1)
-    return [range(i, min(i + size, config.rollouts)) for i in range(0, config.rollouts, size)]
 
 
 def _shard_folder(job: Job) -> ShardFolder:
@@ -129,12 +133,3 @@ def _durably(path: Path, save: Callable[[Path], Any]) -> None:
         partly.replace(path.with_name(f"{path.name}.{json_files.sha256(partly)}"))
     finally:
         partly.unlink(missing_ok=True)  # a disk that is full gets the room back
-
-
-def _link(path: Path, folder: Path) -> None:
-    """A second name for a shard: an end that comes before the result is in the store loses none."""
-    kept = next(path.parent.glob(f"{path.name}.*"))
-    try:
-        os.link(kept, folder / path.name)
-    except OSError:  # a file system without links
-        shutil.copyfile(kept, folder / path.name)

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from npred.symbolic import implicit, tape
+from npred.predictors import rosenbrock
+from npred.symbolic import tape
 from npred.symbolic.trace import python
 
 
@@ -18,7 +19,7 @@ def test_solutions_are_those_of_numpy(seed, size, sparse):
     A += np.roll(np.eye(size), 1, axis=1) * 3.0  # regular without its diagonal
     if np.linalg.cond(A) > 1e6:
         return
-    solve = implicit.solver(A.tolist())
+    solve = rosenbrock.solver(A.tolist())
     for right in b:
         np.testing.assert_allclose(solve(right.tolist()), np.linalg.solve(A, right), rtol=1e-8, atol=1e-8)
 
@@ -27,7 +28,7 @@ def test_a_pivot_that_vanishes_is_exchanged_in_a_traced_program():
     """The text knows no values: the same program serves matrices with another largest entry in each column."""
     on = tape.Tape()
     entries, b = on.inputs("a", 9), on.inputs("b", 3)
-    y = implicit.solver([entries[:3], entries[3:6], entries[6:]])(b)
+    y = rosenbrock.solver([entries[:3], entries[3:6], entries[6:]])(b)
     program = python(y, [*tape.names("a", 9), *tape.names("b", 3)])
     rng = np.random.default_rng(3)
     for shift in range(3):
@@ -39,7 +40,7 @@ def test_a_pivot_that_vanishes_is_exchanged_in_a_traced_program():
 def test_rows_that_are_known_to_be_of_the_identity_cost_no_search_and_zeros_no_product():
     on = tape.Tape()
     h, spring, drag, b = (*on.inputs("c", 3), on.inputs("b", 2))
-    y = implicit.solver([[1.0, -h], [h * spring, 1.0 + h * drag]])(b)
+    y = rosenbrock.solver([[1.0, -h], [h * spring, 1.0 + h * drag]])(b)
     operations = [op for op, _ in on.nodes]
     assert "where" not in operations and operations.count("div") == 1
     program = python(y, ["c0", "c1", "c2", "b0", "b1"])
