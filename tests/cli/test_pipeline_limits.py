@@ -11,7 +11,7 @@ from conftest import settings_of
 from typer.testing import CliRunner
 
 import npred
-from npred import config, diagnosis, operators, randomness
+from npred import config, operators, randomness
 from npred.cli import app, rig
 from npred.cli.options import Rigged
 from npred.conditions import starts
@@ -20,6 +20,7 @@ from npred.pipeline import Node, load_model
 from npred.predictors import RK4
 from npred.rig.network import Channel
 from npred.runtimes.fused import Fused
+from npred.stages import pipeline_fit
 
 CART = """
 class Cart:
@@ -197,4 +198,4 @@ def test_a_filter_of_a_plant_without_limits_is_refused_before_anything_runs():
     tables = {"plant": "scalar", "evaluate": {"X0": [0.5], "scenarios": [{"name": "a", "safety": {"alpha": 1.0}}]}}
     pipeline = config.parse(tables, "tests")
     with pytest.raises(ConfigError, match=r"expected a plant with safe\(x, t, p, M\)"):
-        diagnosis.require(npred.plant("scalar"), pipeline, ("evaluate",))
+        pipeline_fit.require(npred.plant("scalar"), pipeline, ("evaluate",))
