@@ -161,7 +161,7 @@ class Problem:
         self, delays: np.ndarray, X: np.ndarray, theta: np.ndarray, pieces: Any, lag: Any
     ) -> tuple[SegmentFit, tuple[np.ndarray, np.ndarray]]:
         """The parabolas about a point, and the way to their least cost."""
-        segments, n = self.segments, self.model.n
+        segments, n = self.segments, self.model.plant.n
         x, J = self.model.run(X, theta, pieces, lag)
         y, G = self.sensors.read(x, J, segments.t, self.model.parameters(theta))
         with np.errstate(all="ignore"):

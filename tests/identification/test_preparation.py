@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import npred
+from npred.identification.identify import Settings, prepared
 from npred.identification.log import Log
-from npred.identification.preparation import Settings, prepared
 
 
 def log(period: float, count: int = 900) -> Log:

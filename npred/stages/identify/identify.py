@@ -12,11 +12,9 @@ from npred.figures import identified as figures
 from npred.figures import svg
 from npred.figures.figure import write
 from npred.figures.table import Column, Table
-from npred.identification import recorded
 from npred.identification.identified import Identified
-from npred.identification.identify import of_log
+from npred.identification.identify import Settings, of_log, recorded
 from npred.identification.log import Log
-from npred.identification.preparation import Settings
 from npred.plants import Plant
 from npred.results import IdentifiedResult
 from npred.stages.job import Job
@@ -33,17 +31,11 @@ def run(job: Job) -> IdentifiedResult:
         raise ConfigError(
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
-    log = recorded.read(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
-    settings = Settings(
-        tuple(table.free),
-        table.bounds,
-        table.longest,
-        table.offset,
-        table.time_varying,
-        table.model_error,
+    log = recorded(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
+    identified = of_log(plant, log, Settings(
+        tuple(table.free), table.bounds, table.longest, table.offset, table.time_varying, table.model_error,
         job.config.seed,
-    )
-    identified = of_log(plant, log, settings)
+    ))  # fmt: skip
     drawn = _drawn(identified)
     with h5py.File(job.folder / "identified.h5", "w") as file:
         for name, values in drawn.items():
