@@ -4,7 +4,7 @@ import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
 from npred.laws.law import error
-from npred.laws.riccati import lyapunov
+from npred.laws.regulator import lyapunov
 from npred.loop.adaptation import undeclared
 from npred.symbolic import programs
 from npred.symbolic.tape import names

@@ -13,8 +13,7 @@ import numpy as np
 from npred import plants
 from npred.laws.design import Design
 from npred.laws.law import rounded
-from npred.laws.regulator import adjustable, weights
-from npred.laws.riccati import riccati
+from npred.laws.regulator import adjustable, riccati, weights
 from npred.plants import Plant
 
 LETTERS = ("Q", "R")
