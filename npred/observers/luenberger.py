@@ -66,7 +66,7 @@ class Luenberger(Observer):
         return memory, np.concatenate([np.zeros(len(memory) - count), np.ones(count)])
 
     @cached_property
-    def _follow(self) -> Kernel:
+    def follow(self) -> Kernel:
         n, m, count, of = self.plant.n, self.plant.m, len(self.outputs), Formulas(self.plant, ())
         trace = of.trace
         L = np.reshape(trace.vector("l", self.size * count), (self.size, count))
@@ -87,7 +87,7 @@ class Luenberger(Observer):
         return made("luenberger_follow", family.FOLLOW, text, functions, {"N": n, "M": m})
 
     @cached_property
-    def _correct(self) -> Kernel:
+    def correct(self) -> Kernel:
         of = Formulas(self.plant, ())
         sizes = {"N": self.plant.n, "M": self.plant.m, "SIZE": self.size, "OUTPUTS": len(self.outputs)}
         text, functions = skeleton("luenberger_correct.h"), {"OUTPUT": self.output_function(of)}
