@@ -78,9 +78,7 @@ class Fit:
         seconds, derived = times(case)[1], table.gamma is None
         return AdaptiveLoops(law, table.D, D_hat, X0, table.dt, seconds, table.nx, derived, self._simulated)
 
-    def _simulated(
-        self, loops: AdaptiveLoops, adaptation: str, rk4: predictors.RK4, every: int
-    ) -> Trajectories:  # fmt: skip
+    def _simulated(self, loops: AdaptiveLoops, adaptation: str, rk4: predictors.RK4, every: int) -> Trajectories:
         settings = {"gamma": loops.law.gamma, "dt": loops.dt, "adaptation": adaptation}
         table = self.pipeline.evaluate.model_copy(update=settings)
         condition = Condition(table, loops.X0[:, None], loops.D, loops.D_hat, loops.seconds, seed=0)
@@ -89,7 +87,7 @@ class Fit:
 
 def check(
     plant: Plant, pipeline: Pipeline, delay: float | None = None, nodes: int | None = None, u0: Any = None
-) -> list[Answer]:  # fmt: skip
+) -> list[Answer]:
     """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant.
 
     Delay, nodes and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.

@@ -32,10 +32,9 @@ def run(job: Job) -> IdentifiedResult:
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
     log = recorded(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
-    identified = of_log(plant, log, Settings(
-        tuple(table.free), table.bounds, table.longest, table.offset, table.time_varying, table.model_error,
-        job.config.seed,
-    ))  # fmt: skip
+    free, seed = tuple(table.free), job.config.seed
+    asked = Settings(free, table.bounds, table.longest, table.offset, table.time_varying, table.model_error, seed)
+    identified = of_log(plant, log, asked)
     drawn = _drawn(identified)
     with h5py.File(job.folder / "identified.h5", "w") as file:
         for name, values in drawn.items():
