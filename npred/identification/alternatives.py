@@ -129,10 +129,9 @@ def held_back(delays: Delays, high: np.ndarray) -> dict[str, float]:
     def at(z: np.ndarray, fit: SegmentFit | None) -> SegmentFit:
         return train.fit(z, fit, 2)
 
-    z, fit, _ = search.descend(
-        at, at(delays.values, None), delays.values, np.zeros(len(high)), high, float(delays.widths.max()),
-        0.2 * float(delays.widths.min()),
-    )  # fmt: skip
+    step, least = float(delays.widths.max()), 0.2 * float(delays.widths.min())
+    first = at(delays.values, None)
+    z, fit, _ = search.descend(at, first, delays.values, np.zeros(len(high)), high, step, least)
     inputs = list(range(len(z)))
     candidates = {
         "model": FittedModel(train, fit),

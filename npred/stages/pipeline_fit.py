@@ -130,8 +130,11 @@ def _require(fit: Fit, case: Case) -> None:
     served(fit)
     room(fit)
     ask("box")
-    start(fit)
-    resolved(fit)
+    for stage, loop in fit.loops.items():
+        inputs.configured(fit.plant, loop, stage)  # a range per input, and an input before t = 0
+    for stage, loop in fit.loops.items():
+        if loop.adaptation != FROZEN and not fit.plant.declares_delay:
+            delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
     clock(fit)
     if case.takes_V and not fit.plant.declares_V:
         raise ConfigError(f"{undeclared(fit.plant)}; {DECLARE}")
@@ -170,12 +173,11 @@ def declared_delay(fit: Fit) -> None:
     keys = []
     for stage, loop in fit.loops.items():
         plain = type(loop)(D=loop.D, adaptation=loop.adaptation)  # type: ignore[call-arg]  nobody wrote what follows D
-        names = [name for name in ABOUT_DELAY if name in type(loop).model_fields]
-        expected = {name: (getattr(plain, name), FROZEN) for name in names} | {
-            "D": (type(loop).model_fields["D"].default,)
-        }
-        changed = [name for name in names if getattr(loop, name) not in expected[name]]
-        keys += [f"{stage}.{name}" for name in changed]
+        fields = type(loop).model_fields
+        for name in ABOUT_DELAY:
+            expected = (fields["D"].default,) if name == "D" else (getattr(plain, name, None), FROZEN)
+            if name in fields and getattr(loop, name) not in expected:
+                keys.append(f"{stage}.{name}")
     for k, scenario in enumerate(fit.scenarios):
         keys += [f"evaluate.scenarios[{k}].{key}" for key in scenario.about_delay]
     if keys:
@@ -234,19 +236,6 @@ def _tells_time(fit: Fit) -> None:
         span = fit.plant.time_text(seconds)
         what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
         raise ConfigError(f"{fit.plant.location('delay')}: {what}; declare period, after which it repeats")
-
-
-def start(fit: Fit) -> None:
-    """Whether the loops of each stage have a range per input, and an input before t = 0 that the plant accepts."""
-    for stage, loop in fit.loops.items():
-        inputs.configured(fit.plant, loop, stage)
-
-
-def resolved(fit: Fit) -> None:
-    """Whether the control steps of loops that adapt are no longer than their delays."""
-    for stage, loop in fit.loops.items():
-        if loop.adaptation != FROZEN and not fit.plant.declares_delay:
-            delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
 
 
 def anchors(fit: Fit) -> None:

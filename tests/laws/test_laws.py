@@ -26,7 +26,7 @@ from npred.laws.design import MOMENTS, SPAN, Design
 from npred.laws.regulator import riccati
 from npred.plants import Plant
 from npred.predictors import RK4
-from npred.tuning.lqr_weights import LqrWeights
+from npred.tuning.cost import LqrWeights
 
 LAWLESS = """
 class Pendulum:
