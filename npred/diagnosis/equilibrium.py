@@ -78,21 +78,18 @@ def slip(plant: Plant, t_end: float) -> tuple[float, float]:
     """sup |reference' - f(reference, kappa)| / (1 + |reference'|) over t_end seconds, and the time where it is."""
     t = np.linspace(0.0, t_end, 1001)
     right = plant.f(plant.target(t), plant.u_target(t), t)
-    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in _slopes(plant, t)]
+    if plant.traced:
+        trace = Trace(plant)
+        clock = trace.input("t")
+        by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
+        with np.errstate(all="ignore"):
+            values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
+        slopes = [array_math.stack(values, t)]
+    else:  # differences, of which the nearest counts
+        slopes = [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
+    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in slopes]
     gap = np.min(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf), axis=0)
     return float(gap.max()), float(t[np.argmax(gap)])
-
-
-def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
-    """reference' (T, n): exact, or of a plant that is not traced by differences, of which the nearest counts."""
-    if not plant.traced:
-        return [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
-    trace = Trace(plant)
-    clock = trace.input("t")
-    by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
-    with np.errstate(all="ignore"):
-        values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
-    return [array_math.stack(values, t)]
 
 
 def limited(case: Case) -> Verdict:

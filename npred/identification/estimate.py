@@ -61,8 +61,11 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
     inflation = correlation_time(fit.residuals)
     profiles = [search.profile(_at(problem), fit, z, j, low, high, widths * scale) for j in range(len(z))]
-    level = LEVEL * inflation
-    ends = np.array([_ends(p, level, rng) for p in profiles])
+    ends = np.empty((len(z), 2))
+    for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
+        by_cost = search.interval(p.values, p.costs - p.costs.min(), LEVEL * inflation)
+        low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
+        ends[j] = min(by_cost[0], low_draw), max(by_cost[1], high_draw)
     for place, _ in places:  # other minima that may be as good: of a periodic input, say
         beyond = any(not p.values[0] <= end <= p.values[-1] for p, end in zip(profiles, place, strict=True))
         if beyond and not better(fit, problem.fit(place), inflation, APART):
@@ -81,14 +84,6 @@ def _tethered(problem: Problem) -> Problem:
     near = np.where(prior.mean == 0, np.inf, TETHER * np.abs(prior.mean))
     deviation = np.minimum(prior.deviation, near)
     return replace(problem, prior=replace(prior, deviation=deviation))
-
-
-def _ends(profile: Profile, level: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The least one around two: that of costs near the least, and that of the minima with the segments drawn anew."""
-    rises = profile.costs - profile.costs.min()
-    by_cost = search.interval(profile.values, rises, level)
-    by_draws = np.quantile(drawn(profile, rng)[0], SHARES)
-    return min(by_cost[0], by_draws[0]), max(by_cost[1], by_draws[1])
 
 
 def drawn(profile: Profile, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

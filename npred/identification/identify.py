@@ -193,7 +193,15 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
         )
     least, most = ROWS
     count = int(np.clip(len(rows.t) / PARTS, max(least, 3 * plant.n), most))
-    segments = Segments.of(rows, min(count, _bearable(plant, rows)), GAP * log.period)
+    # An error grows by at most GROWTH in a segment, by the eigenvalues of f_X along the log.
+    X = MeasuredOutputs(RolloutModel(plant, ())).states(rows.Y[:: max(1, len(rows.t) // 50)])
+    with np.errstate(all="ignore"):
+        matrices = plant.jacobians(X, np.broadcast_to(np.median(rows.U, axis=0), (len(X), plant.m)))[0]
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    rates = np.linalg.eigvals(matrices[finite]).real.max(axis=1) if finite.any() else np.zeros(1)
+    if (fastest := float(np.quantile(rates, 0.9))) > 0:
+        count = min(count, int(min(1e9, np.log(GROWTH) / (fastest * rows.period))))
+    segments = Segments.of(rows, count, GAP * log.period)
     rough, wide = spread(np.diff(rows.Y, 2, axis=0)) / np.sqrt(6), spread(rows.Y)
     scale = np.where(rough > 0, rough, np.where(wide > 0, 1e-3 * wide, 1.0))
     problem = Problem(model, segments, scale, prior)
@@ -220,17 +228,6 @@ def _prior(plant: Plant, settings: Settings) -> tuple[tuple[int, ...], Prior]:
     deviation = np.where(np.isin(places, assumed), settings.model_error * np.abs(mean), np.inf)
     limits = [bounds.get(names[k], (-np.inf, np.inf)) if k < len(names) else (-np.inf, np.inf) for k in places]
     return tuple(places), Prior(mean, deviation, np.array(limits).reshape(-1, 2).T)
-
-
-def _bearable(plant: Plant, rows: Log) -> int:
-    """The samples in which an error grows by at most GROWTH, by the eigenvalues of f_X along the log."""
-    X = MeasuredOutputs(RolloutModel(plant, ())).states(rows.Y[:: max(1, len(rows.t) // 50)])
-    with np.errstate(all="ignore"):
-        matrices = plant.jacobians(X, np.broadcast_to(np.median(rows.U, axis=0), (len(X), plant.m)))[0]
-    finite = np.isfinite(matrices).all(axis=(1, 2))
-    rates = np.linalg.eigvals(matrices[finite]).real.max(axis=1) if finite.any() else np.zeros(1)
-    fastest = float(np.quantile(rates, 0.9))
-    return int(min(1e9, np.log(GROWTH) / (fastest * rows.period))) if fastest > 0 else 10**9
 
 
 def _fine_enough(problem: Problem, delays: np.ndarray) -> Problem:

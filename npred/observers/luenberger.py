@@ -99,17 +99,12 @@ def smallest_gain(A: np.ndarray, C: np.ndarray, dy: np.ndarray, rate: float) -> 
     size, weighed = len(A), C.T / dy**2
     faster = A + rate * np.eye(size)
     H = np.block([[faster.T, -weighed @ C], [np.zeros((size, size)), -faster]])
-    S = _sign(H) + np.eye(2 * size)
-    P = np.linalg.lstsq(S[:, size:], -S[:, :size], rcond=None)[0]
-    return P @ weighed
-
-
-def _sign(H: np.ndarray) -> np.ndarray:
-    """The matrix sign function by Newton's method [Roberts, Int. J. Control 32 (1980) 677]."""
-    for _ in range(100):
+    for _ in range(100):  # the sign of H by Newton's method [Roberts, Int. J. Control 32 (1980) 677]
         inverse = np.linalg.inv(H)
         scale = abs(np.linalg.det(H)) ** (-1 / len(H))
         last, H = H, 0.5 * (scale * H + inverse / scale)
         if np.abs(H - last).max() <= 1e-14 * np.abs(H).max():
             break
-    return H
+    S = H + np.eye(2 * size)
+    P = np.linalg.lstsq(S[:, size:], -S[:, :size], rcond=None)[0]
+    return P @ weighed

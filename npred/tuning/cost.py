@@ -112,23 +112,19 @@ class Loops:
 
     def run(self, numbers: Mapping[str, float], progress: Progress) -> Settling:
         """The loops with these gamma, b and parameters, and the pipeline's numerical predictor."""
-        plant = varied(self.plant, numbers)
-        parts = [self._settling(condition, plant, numbers, progress) for condition in self.conditions]
+        plant, parts = varied(self.plant, numbers), []
+        for condition in self.conditions:
+            law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
+            safety = condition.table.safety
+            if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
+                law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
+            table = condition.table.model_copy(update=law)
+            predictor = numerical(table.predictor, plant, table.nx)
+            changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
+            loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
+            parts.append(Settling.of(loops, self.plant, self.states, limited=safety is not None))
         columns = ("time", "effort", "settled")
         return Settling(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
-
-    def _settling(
-        self, condition: Condition, plant: Plant, numbers: Mapping[str, float], progress: Progress
-    ) -> Settling:
-        law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
-        safety = condition.table.safety
-        if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
-            law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
-        table = condition.table.model_copy(update=law)
-        changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
-        predictor = numerical(table.predictor, plant, table.nx)
-        loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
-        return Settling.of(loops, self.plant, self.states, limited=safety is not None)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from npred.figures.figure import write
 from npred.figures.table import Column, Table
 from npred.identification.identified import Identified
 from npred.identification.identify import Settings, of_log, recorded
-from npred.identification.log import Log
 from npred.plants import Plant
 from npred.results import IdentifiedResult
 from npred.stages.job import Job
@@ -39,25 +38,11 @@ def run(job: Job) -> IdentifiedResult:
     with h5py.File(job.folder / "identified.h5", "w") as file:
         for name, values in drawn.items():
             file[name] = values
-    result = _result(identified, log)
-    plates = list(figures.plates(plant, drawn))
-    for plate in plates:
-        write(plate, job.folder)
-    (job.folder / PAGE).write_text(_page(job, result, plates), encoding="utf-8")
-    return result
-
-
-def summary(result: IdentifiedResult, width: int | None = None) -> str:
-    """What is known, in sentences."""
-    return "\n".join(result.sentences)
-
-
-def _result(identified: Identified, log: Log) -> IdentifiedResult:
     windows = identified.windows
     lists = windows and {"t": windows.t.tolist(), "D": windows.D.tolist(), "interval": windows.interval.tolist()}
-    return IdentifiedResult(
-        plant=identified.plant.name,
-        inputs=list(identified.plant.inputs),
+    result = IdentifiedResult(
+        plant=plant.name,
+        inputs=list(plant.inputs),
         D=identified.D.tolist(),
         interval=identified.interval.tolist(),
         identifiable=identified.identifiable.tolist(),
@@ -69,6 +54,16 @@ def _result(identified: Identified, log: Log) -> IdentifiedResult:
         period=log.period,
         **({"windows": lists} if lists else {}),
     )
+    plates = list(figures.plates(plant, drawn))
+    for plate in plates:
+        write(plate, job.folder)
+    (job.folder / PAGE).write_text(_page(job, result, plates), encoding="utf-8")
+    return result
+
+
+def summary(result: IdentifiedResult, width: int | None = None) -> str:
+    """What is known, in sentences."""
+    return "\n".join(result.sentences)
 
 
 def _drawn(identified: Identified) -> dict[str, Any]:

@@ -12,19 +12,18 @@ from npred.stages.configuration import plant, table
 def configuration(config: Pipeline, model: str | None, device: str) -> dict[str, Any]:
     """The table; the recording enters by what it holds, and the measured outputs by their formulas."""
     section = table(config.optional("identify"))
-    path = Path(section.pop("data"))
+    path, digest = Path(section.pop("data")), ""
+    if path.name:
+        try:
+            digest = sha256(regular(path))
+        except OSError as error:
+            expected = f"identify.data: expected a file at {path}, got: {error.strerror}; check the path"
+            raise ConfigError(expected) from None
     declared = plant(config)
     outputs = {"outputs": list(declared.outputs), **declared.output_program} if declared.declares_output else {}
-    return {"identify": section | outputs | {"recording": _digest(path) if path.name else ""}}
+    return {"identify": section | outputs | {"recording": digest}}
 
 
 def parts(config: Pipeline, model: str | None) -> dict[str, str]:
     """It names no parts."""
     return {}
-
-
-def _digest(path: Path) -> str:
-    try:
-        return sha256(regular(path))
-    except OSError as error:
-        raise ConfigError(f"identify.data: expected a file at {path}, got: {error.strerror}; check the path") from None
