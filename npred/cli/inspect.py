@@ -154,7 +154,7 @@ def check(
         from npred import figures
 
         if delay is None:
-            delay = pipeline_fit.Fit(asked, pipeline).case().delay if pipeline else diagnosis.longest(asked)[0]
+            delay = pipeline_fit.PipelineFit(asked, pipeline).case().delay if pipeline else diagnosis.longest(asked)[0]
         figures.write(figures.margin(asked, plot.stem, delay), plot.parent, formats=[plot.suffix[1:]])
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov, region
-from npred.diagnosis.case import Answer, Case, Check, Experiment
+from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.errors import ConfigError
 from npred.plants import inputs
 from npred.plants.base import Plant
 
-__all__ = ["QUESTIONS", "Answer", "Case", "Experiment", "answers", "check", "longest", "settled"]
+__all__ = ["QUESTIONS", "Answer", "Case", "PlannedExperiment", "answers", "check", "longest", "settled"]
 
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
 
@@ -81,7 +81,7 @@ def settled(answers: Sequence[Answer]) -> bool:
     return all(answer.verdict != "no" for answer in answers)
 
 
-def longest(plant: Plant, experiment: Experiment | None = None) -> tuple[float, str]:
+def longest(plant: Plant, experiment: PlannedExperiment | None = None) -> tuple[float, str]:
     """The delay to predict over, and where it is from."""
     if plant.declares_delay:
         case = Case(plant, ASSUMED, NODES, SAMPLES, experiment=experiment)

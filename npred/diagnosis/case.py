@@ -40,7 +40,7 @@ class Check(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Experiment:
+class PlannedExperiment:
     """What is to be done with a plant: the ranges and input bounds that come before its own, the names of the delay
     laws that run, the length of the loops in seconds, and the loops of the paper's law, if it is to be evaluated.
     """
@@ -66,7 +66,7 @@ class Case:
     samples: int
     source: str = "as asked"
     u0: Any = None
-    experiment: Experiment | None = None
+    experiment: PlannedExperiment | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
 
     def ask(self, question: Check) -> Answer | None:

@@ -12,7 +12,7 @@ from npred.conditions import Condition
 from npred.conditions.condition import observer_and_filter
 from npred.config import FROZEN, PAPER, Loop, Pipeline, Scenario
 from npred.delays import family_of
-from npred.diagnosis import Answer, Case, Experiment
+from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
 from npred.diagnosis.case import SPAN
 from npred.diagnosis.equilibrium import SLIP, times
@@ -37,7 +37,7 @@ SIMULATED = ("box", "finite", "equilibrium", "stability", "reference", "adaptati
 
 
 @dataclass(frozen=True)
-class Fit:
+class PipelineFit:
     """A plant and the stages of a pipeline that are to run with it."""
 
     plant: Plant
@@ -58,7 +58,7 @@ class Fit:
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
         laws = [table.adaptation for table in (*self.loops.values(), *self.scenarios) if table.adaptation is not None]
         adaptive = self._adaptive if evaluate.adaptation == PAPER else None
-        asked = Experiment(generate.box, generate.input_bounds, laws, evaluate.case_t_end, adaptive)
+        asked = PlannedExperiment(generate.box, generate.input_bounds, laws, evaluate.case_t_end, adaptive)
         if delay is not None:
             source = "as asked"
         elif self.plant.declares_delay:
@@ -92,7 +92,7 @@ def check(
 
     Delay, nodes and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
     """
-    fit = Fit(plant, pipeline)
+    fit = PipelineFit(plant, pipeline)
     case = fit.case(delay, nodes, u0)
     inputs.start(plant, u0, case.limits)
     answers = diagnosis.answers(case)
@@ -107,18 +107,18 @@ def check(
 
 def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
     """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
-    fit = Fit(plant, pipeline, stages)
+    fit = PipelineFit(plant, pipeline, stages)
     _require(fit, fit.case())
 
 
 def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
     """The questions that take a simulation, asked before a run: what the adaptive loop makes doubtful, in words."""
-    case = Fit(plant, pipeline).case()
+    case = PipelineFit(plant, pipeline).case()
     answers = [case.ask(question) for question in diagnosis.QUESTIONS if question.name in SIMULATED]
     return [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
 
 
-def _require(fit: Fit, case: Case) -> None:
+def _require(fit: PipelineFit, case: Case) -> None:
     """Raise ConfigError at the first question that is answered by no; these take no time."""
 
     def ask(name: str) -> None:
@@ -149,7 +149,7 @@ def _require(fit: Fit, case: Case) -> None:
     parts(fit)
 
 
-def served(fit: Fit) -> None:
+def served(fit: PipelineFit) -> None:
     """Whether methods, laws and runtimes serve the plant's family: all that do not in one refusal, and what to set."""
     refusal, pipeline = family_of(fit.plant).refusal, fit.pipeline
     asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
@@ -166,7 +166,7 @@ def served(fit: Fit) -> None:
         raise ConfigError(f"{', '.join(reasons)}: {next(iter(reasons.values()))[0]}; set {changes}")
 
 
-def declared_delay(fit: Fit) -> None:
+def declared_delay(fit: PipelineFit) -> None:
     """Whether a pipeline leaves out all that is about delays, estimates and laws where the plant declares its delay."""
     if not fit.plant.declares_delay:
         return
@@ -186,7 +186,7 @@ def declared_delay(fit: Fit) -> None:
         raise ConfigError(f"{', '.join(keys)}: {what}; leave {them} out")
 
 
-def room(fit: Fit) -> None:
+def room(fit: PipelineFit) -> None:
     """Whether what the stages keep at once fits into this machine's memory: the least that they take, not all."""
     pipeline, row = fit.pipeline, 8 * (fit.plant.n + fit.plant.m)  # bytes of a node, of P and u
     generate, evaluate, bench = pipeline.generate, pipeline.evaluate, pipeline.bench
@@ -209,7 +209,7 @@ def room(fit: Fit) -> None:
             array_checks.room(key, "arrays", needed, "take fewer")
 
 
-def clock(fit: Fit) -> None:
+def clock(fit: PipelineFit) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times.
 
     Or it tells the time by the delay, which then has to rise or to fall for as long as loops run.
@@ -227,7 +227,7 @@ def clock(fit: Fit) -> None:
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
 
 
-def _tells_time(fit: Fit) -> None:
+def _tells_time(fit: PipelineFit) -> None:
     """Raise ConfigError where the delay D(t) comes back to a value within the time of the pipeline's loops."""
     seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
     delays = fit.plant.delay(np.zeros((TIMES, fit.plant.n)), np.linspace(0.0, seconds, TIMES))
@@ -238,7 +238,7 @@ def _tells_time(fit: Fit) -> None:
         raise ConfigError(f"{fit.plant.location('delay')}: {what}; declare period, after which it repeats")
 
 
-def anchors(fit: Fit) -> None:
+def anchors(fit: PipelineFit) -> None:
     """Whether there is an equilibrium for the networks that take it for their anchor."""
     train = fit.pipeline.train
     at_rest = [name for name in train.models if train.table(name).anchor == "equilibrium"]
@@ -248,7 +248,7 @@ def anchors(fit: Fit) -> None:
         raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
 
 
-def radius(fit: Fit) -> None:
+def radius(fit: PipelineFit) -> None:
     """Whether the evaluated loops lead anywhere, from a start of the right size."""
     plant, X0 = fit.plant, fit.pipeline.evaluate.X0
     if not (plant.rests or plant.tracks):
@@ -261,7 +261,7 @@ def radius(fit: Fit) -> None:
         raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
 
 
-def parts(fit: Fit) -> None:
+def parts(fit: PipelineFit) -> None:
     """Whether delay laws, methods and sensors load, and fit the plant; whether networks take their sizes."""
     for name in fit.pipeline.train.models if "train" in fit.stages else ():
         table = fit.pipeline.train.table(name)

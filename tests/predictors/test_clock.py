@@ -16,7 +16,7 @@ from npred.predictors import RK4
 from npred.predictors.neural import Neural
 from npred.registry import METHODS
 from npred.runtimes import predictor
-from npred.stages.pipeline_fit import Fit, clock
+from npred.stages.pipeline_fit import PipelineFit, clock
 from npred.training.rows import Rows
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
@@ -145,10 +145,10 @@ def test_without_a_period_no_network_can_serve_it():
     u = np.ones((21, 1)) * grid.nodes(21)[:, None]
     assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
     with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
-        clock(Fit(driven(), PIPELINE, ()))
+        clock(PipelineFit(driven(), PIPELINE, ()))
     with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; set period"):
-        clock(Fit(driven(period=3.0), PIPELINE, ()))
-    clock(Fit(driven(period=np.pi), PIPELINE, ()))
+        clock(PipelineFit(driven(period=3.0), PIPELINE, ()))
+    clock(PipelineFit(driven(period=np.pi), PIPELINE, ()))
 
 
 @NETWORKS
@@ -168,10 +168,10 @@ def test_a_delay_that_comes_back_to_a_value_does_not_tell_the_time():
     def late(x, t, p, M):
         return 1 + 0.5 * M.sin(t)
 
-    clock(Fit(IN_TIME, PIPELINE, ()))
+    clock(PipelineFit(IN_TIME, PIPELINE, ()))
     plant = Plant("late", type("Late", (IN_TIME.declaration,), {"delay": late}))
     with pytest.raises(ConfigError, match=r"expected a delay that only rises or only falls for 100 s.*declare period"):
-        clock(Fit(plant, PIPELINE, ()))
+        clock(PipelineFit(plant, PIPELINE, ()))
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, "often"])
