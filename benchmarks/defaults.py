@@ -10,9 +10,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from npred import config, diagnosis, plants
+from npred import config, plants
 from npred.errors import ConfigError
 from npred.loop import delay_law
+from npred.stages import pipeline_fit
 
 TUTORIAL = Path(__file__).parent.parent / "docs" / "own_plant.md"
 SECONDS = {  # D of the plants' pipelines and pages, else 0.5 s
@@ -37,9 +38,9 @@ def row(name: str, D: float) -> tuple[float | None, str]:
     if plant.declares_delay:
         return None, "declares its delay: nothing is estimated"
     try:
-        diagnosis.require(plant, pipeline, ("generate",))
+        pipeline_fit.require(plant, pipeline, ("generate",))
         law = delay_law.resolve(pipeline.evaluate, plant)
-        return (law.gamma if law else None), "; ".join(diagnosis.doubts(plant, pipeline)) or "converges"
+        return (law.gamma if law else None), "; ".join(pipeline_fit.doubts(plant, pipeline)) or "converges"
     except ConfigError as error:
         return None, str(error)
 

@@ -15,7 +15,7 @@ import pytest
 from input_histories import means
 from scipy.integrate import solve_ivp
 
-from npred import config, diagnosis, predictors
+from npred import config, predictors
 from npred.delays import problem_of
 from npred.delays.constant import ConstantDelay
 from npred.loop.closed_loop import Trajectories, simulate
@@ -23,6 +23,7 @@ from npred.plants import Plant
 from npred.predictors import RK4
 from npred.predictors.base import OneStep
 from npred.registry import METHODS
+from npred.stages import pipeline_fit
 
 DT = 0.005
 GOLDEN = 5.0  # s of the golden loop: each of its control steps is solved anew
@@ -70,7 +71,7 @@ class Claims:
         name = self.pipeline or self.plant.name
         found = config.load(Path(__file__).parent.parent / f"pipeline/{name}.toml")
         assert (found.plant, found.name) == (self.plant.name, name)
-        diagnosis.require(self.plant, found, ("generate", "train", "evaluate", "bench"))
+        pipeline_fit.require(self.plant, found, ("generate", "train", "evaluate", "bench"))
 
     def test_derivatives_equal_differences(self):
         derivatives_equal_differences(self.plant)

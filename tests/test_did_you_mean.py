@@ -155,7 +155,7 @@ def test_python_says_what_to_write_instead(call: Callable[[], Any], words: str):
 
 
 def test_a_box_of_a_pipeline_says_what_comes_closest():
-    case = type("Case", (), {"plant": TANK, "box": {"H": (0.0, 1.0)}, "pipeline": None})
+    case = type("Case", (), {"plant": TANK, "box": {"H": (0.0, 1.0)}, "experiment": None})
     assert "did you mean h?" in box.declared(case)[1]  # type: ignore[arg-type]
 
 

@@ -100,7 +100,7 @@ def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
-    more |= condition.wrapped(plant, table)
+    more |= condition.observer_and_filter(plant, table)
     return Controller(
         plant, predictor, delay_law.resolve(table, plant), table.dt,
         D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,

@@ -134,11 +134,13 @@ def check(
     answer is no.
     """
     from npred import config, diagnosis, plants
+    from npred.stages import pipeline_fit
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
     asked, plot = plants.resolve(*parts), figure and drawable(figure)
-    answers = diagnosis.check(asked, delay, nodes, pipeline=pipeline, u0=u0 and config.value(u0))
+    settings = {"delay": delay, "nodes": nodes, "u0": u0 and config.value(u0)}
+    answers = pipeline_fit.check(asked, pipeline, **settings) if pipeline else diagnosis.check(asked, **settings)
     fine = diagnosis.settled(answers)
     rows = [[*answer] for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
@@ -149,8 +151,9 @@ def check(
     if plot:
         from npred import figures
 
-        D = diagnosis.longest(asked, pipeline)[0] if delay is None else delay
-        figures.write(figures.margin(asked, plot.stem, D), plot.parent, formats=[plot.suffix[1:]])
+        if delay is None:
+            delay = pipeline_fit.PipelineFit(asked, pipeline).case().delay if pipeline else diagnosis.longest(asked)[0]
+        figures.write(figures.margin(asked, plot.stem, delay), plot.parent, formats=[plot.suffix[1:]])
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")
         raise UnmetError(f"plants check {plant}: the answer is no for {failed}; the table says what to change")

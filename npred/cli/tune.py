@@ -15,8 +15,7 @@ from npred.results import Tuned
 from npred.stages.report import toml_text
 from npred.terminal import interruption
 from npred.terminal.console import columns
-from npred.tuning.cost import ALPHA, LAW
-from npred.tuning.lqr_weights import LqrWeights
+from npred.tuning.cost import ALPHA, LAW, LqrWeights
 from npred.tuning.tune import tune as search
 
 MADE = "# made by npred tune"

@@ -63,7 +63,7 @@ class Condition:
             actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
             truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
             measurement=Measurement(**sensors), timing=table.timing and Timing(**dict(table.timing), seed=self.seed),
-            **wrapped(plant, table), **delays, **recorded,
+            **observer_and_filter(plant, table), **delays, **recorded,
         )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
     return closed_loop.compiled(plant, predictor, law)
 
 
-def wrapped(plant: Plant, table: Loop) -> dict[str, Any]:
+def observer_and_filter(plant: Plant, table: Loop) -> dict[str, Any]:
     """The observer of the state and the safety filter of a table, each or None: as npred.simulate and npred.controller
     take them. Raises ConfigError for one that does not fit.
     """

@@ -1,7 +1,5 @@
 """Questions about f, kappa and V: traced, smooth, finite on the sampling box, and can it be predicted from there?"""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from npred.delays import problem_of
@@ -15,8 +13,6 @@ from npred.symbolic.trace import Trace
 
 STABLE = 2.0  # h rho(f_X) from which on Euler, Heun and Picard diverge
 FINE = 1001  # nodes on which a stiff plant is still integrated
-STEP = 1e-5  # of a finite difference, in widths of the box
-AGREE = 1e-4  # of the largest entry: how far differences may be from derivatives
 
 
 def traced(case: Case) -> Verdict:
@@ -47,7 +43,7 @@ def declared(case: Case) -> Verdict:
     if unknown := [name for name in case.box if name not in states]:
         return "no", unlisted("generate.box", unknown[0], states)
     missing = [name for name in states if name not in case.box]
-    if missing and case.pipeline:
+    if missing and case.experiment:
         first = missing[0]
         return "no", f"generate.box: expected a range for {first!r}, found none; add {first} = [low, high]"
     if missing:
@@ -73,40 +69,16 @@ def finite(case: Case) -> Verdict:
     return "yes", f"{'f, kappa and V' if case.takes_V else 'f and kappa'} are, at {len(X)} states of the box"
 
 
-def jacobians(case: Case) -> Verdict:
-    """Whether the derived f_X and kappa' equal central differences on the box."""
-    plant = case.plant
-    derived = {"f": plant.jacobians(case.X, case.u)[0], "kappa": plant.kappa_jacobian(case.X)}
-    functions = {"f": lambda X: plant.f(X, case.u), "kappa": plant.kappa}
-    for name, J in derived.items():
-        excess = _excess(functions[name], J, case)
-        worst = int(np.argmax(np.where(np.isnan(excess), np.inf, excess)))
-        if not excess[worst] <= 0:
-            where = f"differ from finite differences at {case.state(case.X[worst])}"
-            return "no", f"{plant.location(name)}: derivatives {where}; look for a jump there"
-    return "yes", f"f_X and kappa' equal finite differences at {len(case.X)} states"
-
-
-def _excess(function: Callable[[np.ndarray], np.ndarray], J: np.ndarray, case: Case) -> np.ndarray:
-    """The excess of the Jacobians J (N, k, n) over the tolerance, (N,); across a kink both slopes count."""
-    worst = np.full(len(J), -np.inf)
-    for k, name in enumerate(case.plant.states):
-        low, high = case.box[name]
-        h = STEP * ((high - low) or 1.0)
-        step = h * np.eye(case.plant.n)[k]
-        with np.errstate(all="ignore"):
-            ahead, here, behind = (function(case.X + s * step) for s in (1, 0, -1))
-        gap, kink = np.abs(J[:, :, k] - (ahead - behind) / (2 * h)), np.abs(ahead - 2 * here + behind) / h
-        allowed = AGREE * np.maximum(np.abs(J).max(axis=(1, 2)), 1.0)[:, None] + kink
-        worst = np.maximum(worst, (gap - allowed).max(axis=1))
-    return worst
-
-
 def stiff(case: Case) -> Verdict:
     """Whether h rho(f_X) < 2 on the box, h = delay / (nodes - 1) [explicit methods' limit on the real axis]."""
-    rates = np.abs(np.linalg.eigvals(case.plant.jacobians(case.X, case.u)[0])).max(axis=-1)
+    matrices = case.plant.jacobians(case.X, case.u)[0]
+    lost = ~np.isfinite(matrices).all(axis=(1, 2))
+    if lost.any():
+        where = f"no derivative at {case.state(case.X[np.argmax(lost)])}"
+        return "no", f"{case.plant.location('f')}: {where}; guard the term that has none"
+    rates = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
     worst = int(np.argmax(rates))
-    product, where = case.h * rates[worst], case.state(case.X[worst])
+    product, where = case.delay / (case.nodes - 1) * rates[worst], case.state(case.X[worst])
     delay = case.plant.time_text(case.delay)
     came = f"h rho(f_X) = {product:.3g} with {case.nodes} nodes and a delay of {delay}, at {where}"
     if product < STABLE:
@@ -124,7 +96,11 @@ def complete(case: Case) -> Verdict:
     half = len(held) // 2
     held[:half] = inputs.rows_of(case.plant, case.u0, case.limits, case.X[:half])
     nodes = max(case.nodes, FINE)
-    P = RK4(_undelayed(case.plant), nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
+    plant = case.plant
+    if plant.declares_delay:  # its open loop is asked for, whatever reaches it when
+        declaration = type(plant.declaration.__name__, (plant.declaration,), {"delay": None})
+        plant = Plant(plant.name, declaration, plant.parameters, plant.source)
+    P = RK4(plant, nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
     lost, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
     if not lost.any():
@@ -136,14 +112,6 @@ def complete(case: Case) -> Verdict:
     start = f"{case.state(case.X[first])} ({lost.sum()} of {lost.size} states of the box)"
     cure = "shrink box or the delay, set u0, in a pipeline or by --u0, or guard what is undefined there with M.where"
     return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {after} from {start}; {cure}"
-
-
-def _undelayed(plant: Plant) -> Plant:
-    """The plant without the delay that it declares: its open loop is asked for, whatever reaches it when."""
-    if not plant.declares_delay:
-        return plant
-    declaration = type(plant.declaration.__name__, (plant.declaration,), {"delay": None})
-    return Plant(plant.name, declaration, plant.parameters, plant.source)
 
 
 def feasible(case: Case) -> Verdict:

@@ -101,16 +101,12 @@ class MismatchedLoop:
                 step /= 2
             elif self.stable(b):
                 a, step = b, LONGER * step
-            else:
-                return self._bisected(a, b)
+            else:  # stability ends between a and b
+                while abs(b - a) > TOLERANCE * self.D:
+                    middle = (a + b) / 2
+                    a, b = (middle, b) if self.stable(middle) else (a, middle)
+                return float((a + b) / 2)
         return 0.0 if end < self.D else np.inf
-
-    def _bisected(self, a: float, b: float) -> float:
-        """Where stability ends between a, where the loop is stable, and b, where it is not."""
-        while abs(b - a) > TOLERANCE * self.D:
-            middle = (a + b) / 2
-            a, b = (middle, b) if self.stable(middle) else (a, middle)
-        return float((a + b) / 2)
 
     def stable(self, D_hat: float) -> bool:
         """True if no root is in the right half-plane."""

@@ -13,7 +13,7 @@ from npred.symbolic import array_math, programs
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
 
-HORIZON = 100.0  # s, over which a reference and its loops are looked at where no pipeline says how long
+HORIZON = 100.0  # s, over which a reference and its loops are looked at where no experiment says how long
 SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate
 STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast, long against rounding
 LOOPS = 64  # starts, of the states of the box
@@ -61,12 +61,12 @@ def stability(case: Case) -> Verdict:
 
 
 def reference(case: Case) -> Verdict:
-    """Whether the declared reference is a trajectory of f with kappa, over the pipeline's case or HORIZON seconds."""
+    """Whether the declared reference is a trajectory of f with kappa, over the experiment's or HORIZON seconds."""
     plant = case.plant
     if not plant.tracks:
         text = "f or kappa depends on time and no reference(t, p, M) says what it follows: its loops have no radius"
         return "warn", f"{text}; declare one to evaluate the plant"
-    seconds = case.pipeline.evaluate.case_t_end if case.pipeline else HORIZON
+    seconds = case.experiment.seconds if case.experiment else HORIZON
     excess, t = slip(plant, seconds)
     if excess <= SLIP:
         return "yes", f"a trajectory of f with kappa for {plant.time_text(seconds)}, to {excess:.1g}"
@@ -79,21 +79,18 @@ def slip(plant: Plant, t_end: float) -> tuple[float, float]:
     """sup |reference' - f(reference, kappa)| / (1 + |reference'|) over t_end seconds, and the time where it is."""
     t = np.linspace(0.0, t_end, 1001)
     right = plant.f(plant.target(t), plant.u_target(t), t)
-    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in _slopes(plant, t)]
+    if plant.traced:
+        trace = Trace(plant)
+        clock = trace.input("t")
+        by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
+        with np.errstate(all="ignore"):
+            values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
+        slopes = [array_math.stack(values, t)]
+    else:  # differences, of which the nearest counts
+        slopes = [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
+    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in slopes]
     gap = np.min(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf), axis=0)
     return float(gap.max()), float(t[np.argmax(gap)])
-
-
-def _slopes(plant: Plant, t: np.ndarray) -> list[np.ndarray]:
-    """reference' (T, n): exact, or of a plant that is not traced by differences, of which the nearest counts."""
-    if not plant.traced:
-        return [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
-    trace = Trace(plant)
-    clock = trace.input("t")
-    by_t = programs.derivative(trace.reference(clock), [clock], [1.0])
-    with np.errstate(all="ignore"):
-        values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
-    return [array_math.stack(values, t)]
 
 
 def limited(case: Case) -> Verdict:
@@ -166,31 +163,27 @@ def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
 
 def _closed(case: Case) -> Plant:
     """The plant with the clipped kappa for its input: X' = f(X, kappa(X, t), t), and an input that does nothing."""
-    kind = _on_rows if not case.plant.traced else _on_components
-    kept = {name: getattr(case.plant, name) for name in ("states", "inputs", "parameters", "period")}
-    functions = {name: staticmethod(function) for name, function in kind(case.plant, case.limits).items()}
-    declaration = type("Closed", (), kept | functions | {"guess": case.plant.guess, "traced": case.plant.traced})
-    return type(case.plant)(f"{case.plant.name}, controlled", declaration, {}, case.plant.source)
+    plant, limits = case.plant, case.limits
 
-
-def _on_components(plant: Plant, limits: np.ndarray) -> dict[str, Any]:
     def kappa(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
         U = plant.call("kappa", [*x], None, t, [*p], M)
-        return [_clipped(u, low, high, M) for u, (low, high) in zip(U, limits, strict=True)]
+        for k, (low, high) in enumerate(limits):
+            U[k] = M.maximum(U[k], low) if low > -np.inf else U[k]
+            U[k] = M.minimum(U[k], high) if high < np.inf else U[k]
+        return U
 
     def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
         return plant.call("f", [*x], kappa(x, t, p, M), t, [*p], M)
 
-    return {"f": f, "kappa": kappa}
-
-
-def _clipped(u: Any, low: float, high: float, M: Any) -> Any:
-    u = M.maximum(u, low) if low > -np.inf else u
-    return M.minimum(u, high) if high < np.inf else u
-
-
-def _on_rows(plant: Plant, limits: np.ndarray) -> dict[str, Any]:
-    def kappa(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
+    def kappa_of_rows(X: np.ndarray, t: Any, p: Any) -> np.ndarray:
         return np.clip(plant.kappa(X, t), *limits.T)
 
-    return {"f": lambda X, u, t, p: plant.f(X, kappa(X, t, p), t), "kappa": kappa}
+    def f_of_rows(X: np.ndarray, u: Any, t: Any, p: Any) -> np.ndarray:
+        return plant.f(X, kappa_of_rows(X, t, p), t)
+
+    functions: dict[str, Any] = {"f": f, "kappa": kappa}
+    if not plant.traced:
+        functions = {"f": f_of_rows, "kappa": kappa_of_rows}
+    parts = {name: getattr(plant, name) for name in ("states", "inputs", "parameters", "period", "guess", "traced")}
+    parts |= {name: staticmethod(function) for name, function in functions.items()}
+    return type(plant)(f"{plant.name}, controlled", type("Closed", (), parts), {}, plant.source)

@@ -4,9 +4,8 @@ import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
 from npred.laws.law import error
-from npred.laws.riccati import lyapunov
+from npred.laws.regulator import lyapunov
 from npred.loop.adaptation import undeclared
-from npred.plants.base import Plant
 from npred.symbolic import programs
 from npred.symbolic.tape import names
 from npred.symbolic.trace import Trace, python
@@ -31,7 +30,7 @@ def falls(case: Case) -> Verdict:
     if not case.takes_V:
         declared = "it" if case.plant.declares_V else "one, and none is declared"
         return "yes", f"no law runs that takes {declared}"
-    lacks = "warn" if case.pipeline is None else "no"  # where nothing says which law will run
+    lacks = "warn" if case.experiment is None else "no"  # where nothing says which law will run
     missing = f"{undeclared(case.plant)}; delay-observer, l1 and frozen take none; declare"
     if not case.plant.rests:
         return lacks, f"{missing} the squared distance to what it follows"
@@ -64,22 +63,17 @@ def _towards_rest(case: Case) -> np.ndarray:
 
 def _along(case: Case, X: np.ndarray) -> np.ndarray:
     """V' at the states X (B, n), the input not clipped, (B,)."""
-    if not case.plant.traced:
-        return _rise(case.plant, X)
-    trace, plant = Trace(case.plant), case.plant
-    x, t = trace.vector("x", plant.n), 0.0
-    V = trace.V(x, t)
-    slope = programs.derivative([V], x, trace.f(x, trace.kappa(x, t), t))
+    plant = case.plant
+    if not plant.traced:  # central differences along the loop's velocity
+        velocity = plant.f(X, plant.kappa(X))
+        h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
+        return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
+    trace, t = Trace(plant), 0.0
+    x = trace.vector("x", plant.n)
+    slope = programs.derivative([trace.V(x, t)], x, trace.f(x, trace.kappa(x, t), t))
     rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))])
     with np.errstate(all="ignore"):
         return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
-
-
-def _rise(plant: Plant, X: np.ndarray) -> np.ndarray:
-    """V' by central differences along the loop's velocity."""
-    velocity = plant.f(X, plant.kappa(X))
-    h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
-    return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
 
 
 def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:
@@ -95,19 +89,19 @@ def _proportional(case: Case, S: np.ndarray, X: np.ndarray) -> bool:
 
 
 def _offer(case: Case, S: np.ndarray, X: np.ndarray) -> str:
-    """e'Se as text for the plant's file, with how often it falls at the states X."""
-    scale = np.sqrt(np.outer(np.diag(S), np.diag(S)))
-    rounding = ROUNDING if case.plant.traced else DIFFERENCES
-    pairs = [(i, j) for i in range(len(S)) for j in range(i, len(S)) if abs(S[i, j]) > rounding * scale[i, j]]
-    text = " ".join(_term(case, S, i, j, rounding) for i, j in pairs).removeprefix("+ ")
-    falls = f"falls at {(_offered(case, S, X) < 0).mean():.0%} of {len(X)} states"
-    return f"V = {text} solves the Lyapunov equation, and {falls}"
+    """e'Se as text for the plant's file, with how often it falls at the states X.
 
-
-def _term(case: Case, S: np.ndarray, i: int, j: int, rounding: float) -> str:
-    """A term with its sign, as a plant's file has it: by names, or in a plant that is called by columns of X."""
-    rest = np.where(np.abs(case.plant.equilibrium) > rounding * np.ptp(case.ends, axis=1), case.plant.equilibrium, 0.0)
-    columns = [f"x.{name}" if case.plant.traced else f"X[..., {k}]" for k, name in enumerate(case.plant.states)]
-    a, b = (error(columns[k], rest[k]) for k in (i, j))
-    value, digits = (1 if i == j else 2) * S[i, j], 8 if case.plant.traced else 6
-    return f"{'-' if value < 0 else '+'} {abs(value):.{digits}g} * {a}{' ** 2' if i == j else f' * {b}'}"
+    A file has the states by their names, that of a plant that is called has columns of X.
+    """
+    plant, scale = case.plant, np.sqrt(np.outer(np.diag(S), np.diag(S)))
+    rounding, digits = (ROUNDING, 8) if plant.traced else (DIFFERENCES, 6)
+    rest = np.where(np.abs(plant.equilibrium) > rounding * np.ptp(case.ends, axis=1), plant.equilibrium, 0.0)
+    columns = [f"x.{name}" if plant.traced else f"X[..., {k}]" for k, name in enumerate(plant.states)]
+    errors = [error(column, at_rest) for column, at_rest in zip(columns, rest, strict=True)]
+    terms = []
+    for i, j in zip(*np.triu_indices(len(S)), strict=True):
+        if abs(S[i, j]) > rounding * scale[i, j]:
+            value, factor = (S[i, j], " ** 2") if i == j else (2 * S[i, j], f" * {errors[j]}")
+            terms.append(f"{'-' if value < 0 else '+'} {abs(value):.{digits}g} * {errors[i]}{factor}")
+    text, falls = " ".join(terms).removeprefix("+ "), (_offered(case, S, X) < 0).mean()
+    return f"V = {text} solves the Lyapunov equation, and falls at {falls:.0%} of {len(X)} states"

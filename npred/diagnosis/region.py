@@ -1,6 +1,7 @@
 """Where in the box the loop of a law converges without delay, and which laws a plant without one may take."""
 
 import inspect
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,8 +35,7 @@ def instead(plant: Plant, case: Case) -> Answer:
 def offer(name: str, plant: Plant, case: Case) -> Answer:
     """Where the loop of that law converges, or why the plant does not take it."""
     try:
-        controlled = plants.controlled(plant, name)
-        return converging(name, Case(controlled, case.delay, case.nodes, case.samples, case.pipeline))
+        return converging(name, replace(case, plant=plants.controlled(plant, name), answers={}))
     except ConfigError as fault:
         return Answer(name, "no", str(fault))
 

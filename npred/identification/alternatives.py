@@ -11,13 +11,21 @@ import numpy as np
 from npred.identification import search
 from npred.identification.estimate import Delays
 from npred.identification.fit import Prior, Problem, SegmentFit, better
-from npred.identification.identified import Alternative
 from npred.identification.log import Segments, mean_square, spread
 
 NONE = 1e-9  # of the samples' period: a lag that is none
 HELD_BACK = 0.25
 DECIDING = 8000  # samples, by which models are compared
 SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # of the delay, as a lag
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """What input j would have in place of its delay, or behind it."""
+
+    lag: float  # s, of a first-order lag in place of the delay
+    as_good: bool  # the log does not prefer the delay
+    behind: tuple[float, float] | None  # a delay and a lag that are clearly better than the delay alone
 
 
 @dataclass(frozen=True)
@@ -121,10 +129,9 @@ def held_back(delays: Delays, high: np.ndarray) -> dict[str, float]:
     def at(z: np.ndarray, fit: SegmentFit | None) -> SegmentFit:
         return train.fit(z, fit, 2)
 
-    z, fit, _ = search.descend(
-        at, at(delays.values, None), delays.values, np.zeros(len(high)), high, float(delays.widths.max()),
-        0.2 * float(delays.widths.min()),
-    )  # fmt: skip
+    step, least = float(delays.widths.max()), 0.2 * float(delays.widths.min())
+    first = at(delays.values, None)
+    z, fit, _ = search.descend(at, first, delays.values, np.zeros(len(high)), high, step, least)
     inputs = list(range(len(z)))
     candidates = {
         "model": FittedModel(train, fit),

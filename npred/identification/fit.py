@@ -161,7 +161,7 @@ class Problem:
         self, delays: np.ndarray, X: np.ndarray, theta: np.ndarray, pieces: Any, lag: Any
     ) -> tuple[SegmentFit, tuple[np.ndarray, np.ndarray]]:
         """The parabolas about a point, and the way to their least cost."""
-        segments, n = self.segments, self.model.n
+        segments, n = self.segments, self.model.plant.n
         x, J = self.model.run(X, theta, pieces, lag)
         y, G = self.sensors.read(x, J, segments.t, self.model.parameters(theta))
         with np.errstate(all="ignore"):
@@ -172,7 +172,9 @@ class Problem:
         with np.errstate(all="ignore"):
             A, b = G.swapaxes(1, 2) @ G, (G.swapaxes(1, 2) @ r[..., None])[..., 0]
             right = np.concatenate([b[:, :n, None], A[:, :n, n:]], axis=2)
-            solved = _ridged(A[:, :n, :n], right)
+            corner = A[:, :n, :n]  # it may be singular
+            size = np.maximum(np.nanmax(np.abs(corner), axis=(1, 2), initial=0.0), 1e-300)
+            solved = _solve(corner + RIDGE * size[:, None, None] * np.eye(n), right)
             e = (r**2).sum(axis=1) - (b[:, :n] * solved[..., 0]).sum(axis=1)
             g = b[:, n:] - (A[:, n:, :n] @ solved[..., :1])[..., 0]
             H = A[:, n:, n:] - A[:, n:, :n] @ solved[..., 1:]
@@ -190,15 +192,15 @@ def better(one: SegmentFit, other: SegmentFit, inflation: float, deviations: flo
     The second says whether few segments alone decide [Vuong, Econometrica 57 (1989) 307]; a segment counts for MOST at
     most, since one that diverges has a cost without an end.
     """
-    gain = np.clip((_per_segment(other) - _per_segment(one)) / inflation, -MOST, MOST)
+
+    def per_segment(fit: SegmentFit) -> np.ndarray:
+        """The cost of each segment at the common optimum of theta."""
+        d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
+        return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
+
+    gain = np.clip((per_segment(other) - per_segment(one)) / inflation, -MOST, MOST)
     scatter = np.sqrt(len(gain)) * gain.std(ddof=1)
     return bool(other.cost - one.cost > CLEAR * inflation and gain.sum() > deviations * scatter)
-
-
-def _per_segment(fit: SegmentFit) -> np.ndarray:
-    """The cost of each segment at the common optimum of theta."""
-    d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
-    return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
 
 
 def lag_states(segments: Segments, delays: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -219,24 +221,19 @@ def _lagged(U: np.ndarray, shares: np.ndarray) -> np.ndarray:
     A block makes of what it begins with an affine function; the blocks' begins follow one from the other.
     """
     count = -(-len(shares) // BLOCK)
-    padded = [np.append(values, np.full(count * BLOCK - len(shares), fill)).reshape(count, BLOCK)
-              for values, fill in ((shares, 1.0), (U[:-1] * (1 - shares), 0.0))]  # fmt: skip
+    missing = count * BLOCK - len(shares)
+    by_last = np.pad(shares, (0, missing), constant_values=1.0).reshape(count, BLOCK)
+    by_U = np.pad(U[:-1] * (1 - shares), (0, missing)).reshape(count, BLOCK)
     slope, offset = np.ones((count, BLOCK + 1)), np.zeros((count, BLOCK + 1))
     for k in range(BLOCK):
-        slope[:, k + 1] = slope[:, k] * padded[0][:, k]
-        offset[:, k + 1] = offset[:, k] * padded[0][:, k] + padded[1][:, k]
+        slope[:, k + 1] = slope[:, k] * by_last[:, k]
+        offset[:, k + 1] = offset[:, k] * by_last[:, k] + by_U[:, k]
     begins, a = [], float(U[0])
     for by, more in zip(slope[:, -1].tolist(), offset[:, -1].tolist(), strict=True):
         begins.append(a)
         a = by * a + more
     inside = (np.array(begins)[:, None] * slope + offset)[:, :-1].ravel()
     return np.append(inside, a)[: len(U)] if len(inside) == len(shares) else inside[: len(U)]
-
-
-def _ridged(A: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """A⁻¹ right of symmetric matrices, which may be singular."""
-    size = np.maximum(np.nanmax(np.abs(A), axis=(1, 2), initial=0.0), 1e-300)
-    return _solve(A + RIDGE * size[:, None, None] * np.eye(A.shape[-1]), right)
 
 
 def _solve(A: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -6,20 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from npred.identification.alternatives import Alternative
+from npred.identification.estimate import Parameter
 from npred.notebook import InNotebook
 from npred.plants import Plant
 
 CERTAIN = 0.5  # of the range of delays: a wider interval says nothing
 ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """What input j would have in place of its delay, or behind it."""
-
-    lag: float  # s, of a first-order lag in place of the delay
-    as_good: bool  # the log does not prefer the delay
-    behind: tuple[float, float] | None  # a delay and a lag that are clearly better than the delay alone
 
 
 @dataclass(frozen=True)
@@ -62,12 +55,11 @@ class Findings:
     plant: Plant
     D: np.ndarray
     interval: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    high: np.ndarray  # (m,) the longest delays that were tried
     period: float
     alternatives: list[Alternative]
     still: np.ndarray  # (m,) inputs that never change
-    parameters: Mapping[str, tuple[float, float, float, float]]  # npred.identification.parameters.Parameter
+    parameters: Mapping[str, Parameter]
     assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
     inflation: float
     closed: float  # how much of the commands follows the outputs, R²
@@ -76,8 +68,8 @@ class Findings:
     @property
     def identifiable(self) -> np.ndarray:
         """(m,) True where the log tells the delay."""
-        wide = np.diff(self.interval, axis=1)[:, 0] > CERTAIN * (self.high - self.low)
-        ends = self.interval[:, 1] >= self.high - 1e-9 * (self.high - self.low)
+        wide = np.diff(self.interval, axis=1)[:, 0] > CERTAIN * self.high
+        ends = self.interval[:, 1] >= self.high - 1e-9 * self.high
         return ~(wide | ends | self.still | self._off | np.array([a.as_good for a in self.alternatives]))
 
     @property
@@ -103,7 +95,14 @@ class Findings:
             )
         if self.closed > 0.95 and not self.identifiable.all():
             lines.append("The commands follow the outputs: the log is of a closed loop without a test signal. Add one.")
-        return [*lines, *self._compared()]
+        if not self.held_back:
+            return [*lines, "The log is too short to hold a part of it back."]
+        model, none, lag = (f"{self.held_back[name]:.3g}" for name in ("model", "no_delay", "first_order_lag"))
+        lines.append(
+            f"On the last quarter of the log, which was held back, predictions err by {model} (rms), without the delay "
+            f"by {none}, with a first-order lag in its place by {lag}."
+        )
+        return lines
 
     def _of_input(self, j: int) -> list[str]:
         name, other, time = self.plant.inputs[j], self.alternatives[j], self.plant.time_text
@@ -117,8 +116,8 @@ class Findings:
                 f"log as well as a delay of {time(self.D[j], '.3g')}, or better. Any delay of {span} is possible.",
                 f"Sharp steps of {name}, and samples closer to each other after them, would tell a delay from a lag.",
             ]
-        if high >= self.high[j] - 1e-9 * (self.high[j] - self.low[j]):
-            what = "fits any delay" if low <= self.low[j] else "fits delays"
+        if high >= self.high[j] - 1e-9 * self.high[j]:
+            what = "fits any delay" if low <= 0 else "fits delays"
             return [
                 f"The delay of {name} is not identifiable: the log {what} of {span}, the longest that was tried. "
                 f"Record larger steps of {name}, or try longer delays."
@@ -146,13 +145,3 @@ class Findings:
         if abs(correlation) > 0.95:
             lines.append(f"The log hardly tells {name} from the delay: their errors correlate by {correlation:.2f}.")
         return lines
-
-    def _compared(self) -> list[str]:
-        errors = self.held_back
-        if not errors:
-            return ["The log is too short to hold a part of it back."]
-        model, none, lag = (f"{errors[name]:.3g}" for name in ("model", "no_delay", "first_order_lag"))
-        return [
-            f"On the last quarter of the log, which was held back, predictions err by {model} (rms), without the delay "
-            f"by {none}, with a first-order lag in its place by {lag}."
-        ]

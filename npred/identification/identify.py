@@ -1,24 +1,52 @@
 """`npred.identify`: from a recording, a file or arrays, to the delays and parameters of a plant."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from npred import progress, randomness
-from npred.errors import ConfigError
-from npred.identification import alternatives, estimate, parameters, recorded
-from npred.identification.estimate import Delays
+from npred import array_checks, progress, randomness, recordings
+from npred.errors import ConfigError, unlisted
+from npred.identification import alternatives
+from npred.identification.estimate import Delays, estimate, parameters
+from npred.identification.fit import Prior, Problem
 from npred.identification.identified import Findings, Identified, Windows
-from npred.identification.log import Log
-from npred.identification.preparation import MODEL_ERROR, Settings, arrays, prepared
+from npred.identification.log import Log, Segments, spread
+from npred.identification.model import MeasuredOutputs, RolloutModel
 from npred.plants import Plant
 from npred.plants.base import require
+from npred.symbolic import programs
+from npred.symbolic.trace import Trace
 
 FAR = 3.0  # widths of the box beyond it
 WINDOW = 8, 20  # segments of a window, and windows, at most
+MODEL_ERROR = 0.05
+GAP = 20  # periods without a sample end a segment
+RANGE = 5, 400  # by default delays up to a fifth of the log are tried, and up to so many periods
+PARTS, ROWS = 30, (8, 200)  # a segment is this part of the log, with so many samples at least and at most
+GROWTH = 30.0  # of an error in a segment
+FINEST = 64  # steps of RK4 in a piece
+SLIP = 0.02  # of the noise, that twice as many steps may change
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is free, and what is known: see `identify`."""
+
+    free: tuple[str, ...] = ()
+    bounds: Mapping[str, tuple[float, float]] | None = None
+    longest: float | None = None
+    offset: bool = False
+    time_varying: bool = False
+    model_error: float = MODEL_ERROR
+    seed: int = 0
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """The parameters that are estimated: those that are free, or have a range."""
+        return tuple(dict.fromkeys([*self.free, *(self.bounds or ())]))
 
 
 def identify(
@@ -45,9 +73,15 @@ def identify(
         got = "both" if is_file else f"no {'U' if U is None else 'X'}"
         raise ConfigError(f"identify: expected the path of a recording, or t, U and X, got {got}; give one of both")
     if is_file:
-        log = recorded.read(plant, Path(t), columns, scale, shift, time, time_unit)
+        log = recorded(plant, Path(t), columns, scale, shift, time, time_unit)
     else:
-        log = Log.of(*arrays(plant, t, U, X))
+        t, U, X = (array_checks.floats(name, value) for name, value in (("t", t), ("U", U), ("X", X)))
+        U, X = (a[:, None] if a.ndim == 1 else a for a in (U, X))
+        outputs = len(plant.outputs)
+        if t.ndim != 1 or U.shape != (len(t), plant.m) or X.shape != (len(t), outputs):
+            shapes = f"t (N,), U (N, {plant.m}), X (N, {outputs})"
+            raise ConfigError(f"identify: expected {shapes}, got {t.shape}, {U.shape}, {X.shape}; give a row per time")
+        log = Log.of(t, U, X)
     with progress.announce("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):
         return of_log(plant, log, settings)
 
@@ -55,15 +89,15 @@ def identify(
 def of_log(plant: Plant, log: Log, settings: Settings) -> Identified:
     """What a log tells; see `identify`."""
     problem, high = prepared(plant, log, settings)
-    delays = estimate.estimate(problem, 0 * high, high, randomness.generator(settings.seed, "identify"))
+    delays = estimate(problem, 0 * high, high, randomness.generator(settings.seed, "identify"))
     fewer = alternatives.thinned(delays)
     others = [alternatives.of_input(fewer, j, high[j]) for j in range(plant.m)]
     interval = delays.interval.copy()
     for ends, other in zip(interval, others, strict=True):
         ends[0] = 0.0 if other.as_good else min(ends[0], other.behind[0] if other.behind else np.inf)
-    asked, assumed = parameters.estimated(plant, delays, settings)
+    asked, assumed = parameters(plant, delays, settings.seed)
     findings = Findings(
-        plant, delays.values, interval, 0 * high, high, log.period, others, np.ptp(log.U, axis=0) == 0, asked, assumed,
+        plant, delays.values, interval, high, log.period, others, np.ptp(log.U, axis=0) == 0, asked, assumed,
         delays.inflation, _closed(log), alternatives.held_back(delays, high),
     )  # fmt: skip
     return Identified(
@@ -105,6 +139,110 @@ def _windows(delays: Delays, high: np.ndarray, settings: Settings) -> Windows:
     for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
         part = segments.some(chosen)
         rng = randomness.generator(settings.seed, "window", k)
-        one = estimate.estimate(replace(delays.problem, segments=part), 0 * high, high, rng)
+        one = estimate(replace(delays.problem, segments=part), 0 * high, high, rng)
         values.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
     return Windows(*(np.array(column) for column in zip(*values, strict=True)))
+
+
+def recorded(
+    plant: Plant, path: Path, columns: Mapping[str, str], scale: Mapping[str, float], shift: Mapping[str, float],
+    time: str | None = None, time_unit: str | None = None,
+) -> Log:  # fmt: skip
+    """The log in a file; a column c is scale[c] c + shift[c] in the plant's unit.
+
+    An output that the recording does not have, and that `columns` does not name, is not measured. Raises ConfigError
+    where an input has no column, or no output has one.
+    """
+    every = {name: columns.get(name, name) for name in (*plant.inputs, *plant.outputs)}
+    for name in columns:
+        if name not in every:
+            raise ConfigError(unlisted("columns", name, every, f"inputs or outputs of plant {plant.name},"))
+    names = recordings.columns(path)
+    unmeasured = [name for name in plant.outputs if every[name] not in names and name not in columns]
+    if len(unmeasured) == len(plant.outputs):
+        raise ConfigError(
+            f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(names)}; map one by "
+            f"columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
+        )
+    chosen = {name: column for name, column in every.items() if name not in unmeasured}
+    for key in (*scale, *shift):
+        if key not in chosen.values():
+            raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
+    series = recordings.read(path, list(chosen.values()), time, time_unit)
+    in_units = {
+        name: (series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)) for name, c in chosen.items()
+    }
+    return Log.of_series([in_units[name] for name in plant.inputs], [in_units.get(name) for name in plant.outputs])
+
+
+def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.ndarray]:
+    """The problem of a log, its steps fine enough, and the longest delays (m,)."""
+    if plant.declares_delay:
+        raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
+    duration = log.t[-1] - log.begin
+    longest = settings.longest or min(duration / RANGE[0], RANGE[1] * log.period)
+    rows = log.between(log.begin + longest, np.inf)
+    free, prior = _prior(plant, settings)
+    model = RolloutModel(plant, free)
+    if len(rows.t) < 4 * (plant.n + len(free) + 1):
+        raise ConfigError(
+            f"log: expected at least {4 * (plant.n + len(free) + 1)} samples later than the longest delay, "
+            f"{plant.time_text(longest)}, after the first command, got {len(rows.t)}; record longer, or try shorter "
+            "delays"
+        )
+    least, most = ROWS
+    count = int(np.clip(len(rows.t) / PARTS, max(least, 3 * plant.n), most))
+    # An error grows by at most GROWTH in a segment, by the eigenvalues of f_X along the log.
+    X = MeasuredOutputs(RolloutModel(plant, ())).states(rows.Y[:: max(1, len(rows.t) // 50)])
+    with np.errstate(all="ignore"):
+        matrices = plant.jacobians(X, np.broadcast_to(np.median(rows.U, axis=0), (len(X), plant.m)))[0]
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    rates = np.linalg.eigvals(matrices[finite]).real.max(axis=1) if finite.any() else np.zeros(1)
+    if (fastest := float(np.quantile(rates, 0.9))) > 0:
+        count = min(count, int(min(1e9, np.log(GROWTH) / (fastest * rows.period))))
+    segments = Segments.of(rows, count, GAP * log.period)
+    rough, wide = spread(np.diff(rows.Y, 2, axis=0)) / np.sqrt(6), spread(rows.Y)
+    scale = np.where(rough > 0, rough, np.where(wide > 0, 1e-3 * wide, 1.0))
+    problem = Problem(model, segments, scale, prior)
+    return _fine_enough(problem, np.full(plant.m, longest / 2)), np.full(plant.m, longest)
+
+
+def _prior(plant: Plant, settings: Settings) -> tuple[tuple[int, ...], Prior]:
+    """The places of what is estimated in (p, offsets), and what is known of it."""
+    names, bounds = list(plant.parameters), settings.bounds or {}
+    for name in settings.wanted:
+        if name not in names:
+            raise ConfigError(unlisted("free", name, names, f"parameters of plant {plant.name}:"))
+    free = [k for k, name in enumerate(names) if name in settings.wanted]
+    used: list[int] = []  # by f or the outputs; nobody knows of a plant that is called
+    if plant.traced:
+        trace = Trace(plant)
+        x, u, t = trace.symbols()
+        formulas = [*trace.f(x, u, t), *(trace.output(x, t) if plant.declares_output else ())]
+        used = [k for k, symbol in enumerate(trace.parameters) if programs.depends(formulas, [symbol])]
+    assumed = [k for k in used if k not in free and plant.p[k] != 0 and settings.model_error > 0]
+    offsets = [len(names) + j for j in range(plant.m)] if settings.offset else []
+    places = [*free, *assumed, *offsets]
+    mean = np.append(plant.p, np.zeros(plant.m))[places]
+    deviation = np.where(np.isin(places, assumed), settings.model_error * np.abs(mean), np.inf)
+    limits = [bounds.get(names[k], (-np.inf, np.inf)) if k < len(names) else (-np.inf, np.inf) for k in places]
+    return tuple(places), Prior(mean, deviation, np.array(limits).reshape(-1, 2).T)
+
+
+def _fine_enough(problem: Problem, delays: np.ndarray) -> Problem:
+    """The problem with as many steps in a piece as the noise lets one see; where outputs are measured instead of
+    states, the noise of a state is taken for a twentieth of its spread.
+    """
+    few = problem.some(500)
+    X, theta = few.start()
+    pieces = few.segments.pieces(delays)
+    last, steps = None, 1
+    while steps <= FINEST:
+        model = replace(problem.model, steps=steps)
+        with np.errstate(all="ignore"):
+            x = model.states(X, theta, pieces)
+            noise = problem.scale if problem.scale.shape == (x.shape[-1],) else 0.05 * np.nanstd(x, axis=(0, 1)) + 1e-12
+            if last is not None and np.nanmean(np.abs(x - last) < SLIP * noise) > 0.99:
+                return replace(problem, model=replace(model, steps=steps // 2))
+        last, steps = x, 2 * steps
+    return replace(problem, model=replace(problem.model, steps=FINEST))

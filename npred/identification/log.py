@@ -30,7 +30,9 @@ class Log:
         Rows are put in order; of rows with one stamp the last one counts. Raises ConfigError where nothing is left.
         """
         order = np.argsort(t, kind="stable")
-        t, U, Y = t[order], _held(U[order]), Y[order]
+        t, U, Y = t[order], U[order], Y[order]
+        rows = np.where(np.isfinite(U), np.arange(len(U))[:, None], 0)
+        U = np.take_along_axis(U, np.maximum.accumulate(rows, axis=0), axis=0)  # a command holds until the next one
         whole = np.isfinite(t) & np.isfinite(U).all(axis=1)
         last = np.append(np.diff(t) > 0, True)
         commands = whole & last
@@ -84,12 +86,6 @@ def spread(values: np.ndarray) -> np.ndarray:
     finite = np.isfinite(values)
     mean = np.where(finite, values, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
     return np.sqrt(mean_square(values - mean))
-
-
-def _held(U: np.ndarray) -> np.ndarray:
-    """Each column with the last command before it where a row has none."""
-    rows = np.where(np.isfinite(U), np.arange(len(U))[:, None], 0)
-    return np.take_along_axis(U, np.maximum.accumulate(rows, axis=0), axis=0)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ input passes a first-order lag first, a' = (u - a) / tau, whose state at the beg
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -34,11 +34,6 @@ class RolloutModel:
     lag: bool = False
     steps: int = 1  # of RK4 in a piece
 
-    @property
-    def n(self) -> int:
-        """States that a segment begins with."""
-        return self.plant.n
-
     def parameters(self, theta: np.ndarray) -> np.ndarray:
         """The plant's parameters and the offsets, with theta in place."""
         p = np.append(self.plant.p, np.zeros(self.plant.m))
@@ -50,15 +45,12 @@ class RolloutModel:
 
         `lag` are the states of the lags at the begin of each segment (S, m), and tau (m,).
         """
+        exact = self.plant.traced and operations(self.plant, "f") <= LONG
         with np.errstate(all="ignore"):
-            return self._exact(X, theta, pieces, lag) if self._compiled else self._differences(X, theta, pieces, lag)
-
-    @property
-    def _compiled(self) -> bool:
-        return self.plant.traced and operations(self.plant, "f") <= LONG
+            return (self._exact if exact else self._differences)(X, theta, pieces, lag)
 
     def _exact(self, X: np.ndarray, theta: np.ndarray, pieces: Pieces, lag: Any) -> tuple[np.ndarray, np.ndarray]:
-        n, columns = self.n, self.n + len(self.free)
+        n, columns = self.plant.n, self.plant.n + len(self.free)
         begin = np.zeros((n * (1 + columns) + self.plant.m * self.lag, len(X)))
         begin[:n] = X.T
         for k in range(n):
@@ -71,7 +63,7 @@ class RolloutModel:
         """The same by forward differences, for formulas that are long and for functions that are called."""
         base = self.states(X, theta, pieces, lag)
         columns = []
-        for k in range(self.n):
+        for k in range(self.plant.n):
             change = STEP * (1.0 + np.abs(X[:, k]))
             moved = X.copy()
             moved[:, k] += change
@@ -85,14 +77,14 @@ class RolloutModel:
         """The states of the samples alone."""
         p, begin = self._with_lag(self.parameters(theta), np.ascontiguousarray(X.T), lag)
         run = self._plain if self.plant.traced else self._called
-        return self._sampled(run, begin, p, pieces)[..., : self.n]
+        return self._sampled(run, begin, p, pieces)[..., : self.plant.n]
 
     def _with_lag(self, p: np.ndarray, begin: np.ndarray, lag: Any) -> tuple[np.ndarray, np.ndarray]:
         """The parameters with tau behind them, and the begin with the lags' states as its last rows."""
         if not self.lag:
             return p, begin
         states, tau = lag
-        rows = len(begin) if len(begin) == self.n else len(begin) - self.plant.m
+        rows = len(begin) if len(begin) == self.plant.n else len(begin) - self.plant.m
         return np.append(p, tau), np.concatenate([begin[:rows], states.T])
 
     def _sampled(self, run: Any, begin: np.ndarray, p: np.ndarray, pieces: Pieces) -> np.ndarray:
@@ -103,8 +95,8 @@ class RolloutModel:
 
     @cached_property
     def _sensitive(self) -> Any:
-        trace, step = self._step(self.n * (1 + self.n + len(self.free)))
-        x, n = trace.vector("x", self.n), self.n
+        trace, step = self._step(self.plant.n * (1 + self.plant.n + len(self.free)))
+        x, n = trace.vector("x", self.plant.n), self.plant.n
         y, a = step(x)
         theta = [trace.input(f"p{k}") for k in self.free]
         S = trace.vector("x", n * (1 + n + len(theta)))[n:].reshape(-1, n)
@@ -114,8 +106,8 @@ class RolloutModel:
 
     @cached_property
     def _plain(self) -> Any:
-        trace, step = self._step(self.n)
-        y, a = step(trace.vector("x", self.n))
+        trace, step = self._step(self.plant.n)
+        y, a = step(trace.vector("x", self.plant.n))
         return self._kernel([*y, *a])
 
     def _step(self, before: int) -> tuple[Trace, Any]:
@@ -144,10 +136,14 @@ class RolloutModel:
         P: np.ndarray,
     ) -> None:  # fmt: skip
         """The same rollouts by a plant's functions of arrays, lanes first."""
-        n, m, count = self.n, self.plant.m, len(self.plant.p)
+        n, m, count = self.plant.n, self.plant.m, len(self.plant.p)
         named = tuple(zip(self.plant.parameters, p[:count].tolist(), strict=True))
-        f, d = partial(_rows, plants.varied(self.plant, named).f), p[count : count + m]
+        plant, d = plants.varied(self.plant, named), p[count : count + m]
         x, a = X[:n].T, X[n:].T
+
+        def f(x: np.ndarray, u: np.ndarray, t: np.ndarray) -> np.ndarray:
+            return plant.f(x, u, np.ravel(t))
+
         for row, (u, span, begin) in enumerate(zip(held, spans, moments, strict=True)):
             h = span / k
             half = np.exp(-0.5 * h[:, None] / p[count + m :]) if self.lag else 0.0
@@ -159,27 +155,18 @@ class RolloutModel:
             P[row] = np.concatenate([x, a], axis=1).T
 
 
-def _rows(f: Any, x: np.ndarray, u: np.ndarray, t: np.ndarray) -> np.ndarray:
-    return f(x, u, np.ravel(t))
-
-
 @dataclass(frozen=True)
 class MeasuredOutputs:
     """What is measured: the states, or what the plant declares by output(x, t, p, M)."""
 
     model: RolloutModel
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the outputs."""
-        return self.model.plant.outputs
-
     def read(self, x: np.ndarray, J: np.ndarray, t: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (..., q) of states (..., n), and their derivatives (..., q, n + q) from those of the states."""
         plant = self.model.plant
         if not plant.declares_output:
             return x, J
-        q, n, count = len(self.names), plant.n, len(plant.p)
+        q, n, count = len(plant.outputs), plant.n, len(plant.p)
         with np.errstate(all="ignore"):
             values = self._program(*np.moveaxis(x, -1, 0), t, *p[:count])
         values = np.stack([np.broadcast_to(value, t.shape) for value in values], axis=-1)
@@ -191,7 +178,7 @@ class MeasuredOutputs:
     def states(self, Y: np.ndarray) -> np.ndarray:
         """States (..., n) to begin with: what is measured of them, the plant's guess for the rest."""
         plant, X = self.model.plant, np.tile(self.model.plant.guess, (*Y.shape[:-1], 1))
-        for k, name in enumerate(self.names):
+        for k, name in enumerate(plant.outputs):
             if name in plant.states:
                 j = plant.states.index(name)
                 X[..., j] = np.where(np.isfinite(Y[..., k]), Y[..., k], X[..., j])

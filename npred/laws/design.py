@@ -78,8 +78,8 @@ class Design:
             z, _ = self._onto(z)
         X, u = z[:n], z[n:]
         if (u < low).any() or (u > high).any():
-            raise self.refusal(f"an input within input_bounds at rest, got {source_lines.values(plant.inputs, u)}",
-                               "move guess")  # fmt: skip
+            values = source_lines.values(plant.inputs, u)
+            raise self.refusal(f"an input within input_bounds at rest, got {values}", "move guess")
         return X, u
 
     @property

@@ -60,8 +60,21 @@ def written(trace: Trace, guess: tuple[float, ...], outputs: Vector) -> Law:
 
 def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np.ndarray) -> Law:
     """u - K (x - X) for K (m, n), X (n,), u (m,), without the terms that are rounding for errors of those widths."""
-    line = f"return [{', '.join(_row(plant, *row, X, widths) for row in zip(u, K, strict=True))}]"
-    return _defined([line], tuple(X.tolist()))
+    commands = []
+    for at_rest, gains in zip(u, K, strict=True):
+        sizes = np.abs(gains) * widths
+        terms = [
+            f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(f'x.{name}', rest)}"
+            for name, gain, rest, size in zip(plant.states, gains, X, sizes, strict=True)
+            if size > SMALL * sizes.max()
+        ]
+        if at_rest or not terms:
+            terms.insert(0, f"{at_rest:.12g}")
+        else:
+            sign, first = terms[0].split(" ", 1)
+            terms[0] = first if sign == "+" else f"-{first}"
+        commands.append(" ".join(terms))
+    return _defined([f"return [{', '.join(commands)}]"], tuple(X.tolist()))
 
 
 def error(state: str, rest: float) -> str:
@@ -72,19 +85,6 @@ def error(state: str, rest: float) -> str:
 def rounded(values: Any) -> np.ndarray:
     """The values to DIGITS digits."""
     return np.array([float(f"{value:.{DIGITS}g}") for value in np.ravel(values)]).reshape(np.shape(values))
-
-
-def _row(plant: Plant, u: float, gains: np.ndarray, X: np.ndarray, widths: np.ndarray) -> str:
-    sizes = np.abs(gains) * widths
-    terms = [
-        f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(f'x.{name}', rest)}"
-        for name, gain, rest, size in zip(plant.states, gains, X, sizes, strict=True)
-        if size > SMALL * sizes.max()
-    ]
-    if u or not terms:
-        return " ".join([f"{u:.12g}", *terms])
-    sign, first = terms[0].split(" ", 1)
-    return " ".join([first if sign == "+" else f"-{first}", *terms[1:]])
 
 
 def _defined(lines: Sequence[str], guess: tuple[float, ...]) -> Law:

@@ -31,9 +31,7 @@ class Chain(NamedTuple):
     row: list[Value]
 
 
-def feedback_linearisation(
-    plant: Plant, poles: Sequence[complex] | None = None, output: Output | None = None
-) -> Law:  # fmt: skip
+def feedback_linearisation(plant: Plant, poles: Sequence[complex] | None = None, output: Output | None = None) -> Law:
     """kappa by which every output y_i obeys e^(r_i) + … + k_0 e = 0, e = y_i - its target (Isidori 1995, sec. 5.3).
 
     The r_i are the relative degrees of the outputs.
@@ -88,15 +86,10 @@ def _chain(design: Design, output: OutputMap) -> Chain | None:
         derivatives.append(y)
         row = [programs.derivative([y], design.x, column)[0] for column in design.B.T]
         y = programs.derivative([y], [design.t, *design.x], [1.0, *drift])[0]
-        if _acts(design, row, y):
+        values = design.values([*row, y], *_places(design))
+        if acts(values[:, :-1] * design.sizes, values[:, -1]):
             return Chain(derivatives, y, row)
     return None
-
-
-def _acts(design: Design, row: list[Value], y: Value) -> bool:
-    """True if an input moves a derivative on the box."""
-    values = design.values([*row, y], *_places(design))
-    return acts(values[:, :-1] * design.sizes, values[:, -1])
 
 
 def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
@@ -111,7 +104,11 @@ def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] 
     chains = [chain for output in outputs if (chain := _chain(design, output))]
     _check_degree(design, chains)
     degrees = [len(chain.derivatives) for chain in chains]
-    values = _poles(design, poles, degrees)
+    if poles is None:
+        A, B = design.linearised
+        values = placement.default(A - B @ gains(design)[1], sum(degrees))
+    else:
+        values = placement.checked(design, poles, sum(degrees))
     right = []
     for chain, output, own_poles in zip(chains, outputs, np.split(values, np.cumsum(degrees)[:-1]), strict=True):
         if not np.allclose(np.poly(own_poles).imag, 0):
@@ -134,7 +131,7 @@ def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
     X = design.target[0]
     y = output(X, design.t)
     if not design.follows:  # a number
-        at_rest = design.values([output(design.x, design.t)], *(part[:1] for part in (design.targets[0], np.zeros(1))))
+        at_rest = design.values([output(design.x, design.t)], design.targets[0][:1], np.zeros(1))
         return [float(f"{at_rest[0, 0]:.12g}"), *[0.0] * degree]
     goals = [y]
     for _ in range(degree):
@@ -144,8 +141,7 @@ def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
 
 def _check_degree(design: Design, chains: list[Chain]) -> None:
     """Raise ConfigError unless the inputs set the highest derivatives everywhere on the box."""
-    m = design.plant.m
-    cure = "pass another output, or take lqr"
+    m, cure = design.plant.m, "pass another output, or take lqr"
     if len(chains) < m:
         raise design.refusal("outputs on which the inputs act, got one that none moves", cure)
     rows = design.values([b for chain in chains for b in chain.row], *_places(design)).reshape(-1, m, m)
@@ -154,16 +150,8 @@ def _check_degree(design: Design, chains: list[Chain]) -> None:
     determinant = np.linalg.det(np.nan_to_num(rows / np.where(size > 0, size, 1.0)))
     smallest = (determinant * np.sign(determinant[np.abs(determinant).argmax()])).min()
     if not smallest > REGULAR * np.abs(determinant).max():
-        raise design.refusal(
-            "outputs with a relative degree on the box, got a decoupling matrix that is singular", cure
-        )
-
-
-def _poles(design: Design, poles: Sequence[complex] | None, degrees: list[int]) -> np.ndarray:
-    if poles is not None:
-        return placement.checked(design, poles, sum(degrees))
-    A, B = design.linearised
-    return placement.default(A - B @ gains(design)[1], sum(degrees))
+        expected = "outputs with a relative degree on the box, got a decoupling matrix that is singular"
+        raise design.refusal(expected, cure)
 
 
 def _check_rest(design: Design, law: Law) -> None:

@@ -38,7 +38,12 @@ def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
                 best, K = np.linalg.cond(Z), first + np.linalg.solve(Z.T, G.T).T
         except np.linalg.LinAlgError:
             continue
-    _check(design, A - B @ K, np.asarray(poles, dtype=complex))
+    # The polynomials are compared, for equal roots split by rounding.
+    values = np.asarray(poles, dtype=complex)
+    expected, actual = np.real(np.poly(values)), np.real(np.poly(A - B @ K))
+    error = (np.abs(actual - expected) / (1 + np.abs(values).max()) ** np.arange(len(expected))).max()
+    if not error <= ACCURATE:
+        raise design.refusal("a linearisation whose poles the inputs move, got another", "take lqr")
     return along(design, K)
 
 
@@ -67,15 +72,6 @@ def _block(design: Design, poles: np.ndarray) -> np.ndarray:
             L[at - size : at, here] = np.eye(size)
         at, before = at + size, pole
     return L
-
-
-def _check(design: Design, closed: np.ndarray, poles: np.ndarray) -> None:
-    """Raise ConfigError unless the closed loop's polynomial is that of the poles: equal roots split by rounding."""
-    expected, actual = np.real(np.poly(poles)), np.real(np.poly(closed))
-    scale = 1 + np.abs(poles).max()
-    error = (np.abs(actual - expected) / scale ** np.arange(len(expected))).max()
-    if not error <= ACCURATE:
-        raise design.refusal("a linearisation whose poles the inputs move, got another", "take lqr") from None
 
 
 def default(closed: np.ndarray, count: int) -> np.ndarray:

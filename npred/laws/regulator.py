@@ -1,4 +1,4 @@
-"""The linear-quadratic regulator of the linearisation."""
+"""The linear-quadratic regulator of the linearisation, with the Lyapunov and the Riccati equation in NumPy alone."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -7,9 +7,12 @@ from npred import array_checks
 from npred.errors import ConfigError
 from npred.laws.design import Design
 from npred.laws.law import Law, linear, rounded, written
-from npred.laws.riccati import riccati
 from npred.plants.base import Plant
 from npred.symbolic import Value
+
+STEPS = 100  # of Newton's method for the sign of a matrix, which doubles its digits in each
+CLOSE = 1e-13  # the relative change at which it ends
+SAME = 1e-9  # of the largest singular value: below it a rank is lost
 
 
 def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:
@@ -26,10 +29,21 @@ def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) ->
 
 def weights(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Q (n, n) and R (m, m), by default those of Bryson's rule. Raises ConfigError for weights that do not fit."""
-    return (
-        _weights(design, "Q", Q, design.widths, least=0.0),
-        _weights(design, "R", R, design.sizes, least=np.finfo(float).tiny),
-    )
+    both = []
+    for name, passed, sizes, definite in (("Q", Q, design.widths, False), ("R", R, design.sizes, True)):
+        if passed is None:
+            both.append(np.diag(1 / sizes**2))
+            continue
+        matrix, size = array_checks.floats(name, passed), len(sizes)
+        matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
+        fits = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
+        least = np.finfo(float).tiny if definite else -1e-12 * np.abs(matrix).max(initial=0.0)
+        if not fits or np.linalg.eigvalsh(matrix).min() < least:
+            kind = "positive definite" if definite else "without negative eigenvalues"
+            expected = f"{name} ({size}, {size}) symmetric and {kind}, or its diagonal, got {passed}"
+            raise design.refusal(expected, "write one weight each")
+        both.append(matrix)
+    return both[0], both[1]
 
 
 def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -77,16 +91,53 @@ def _commands(design: Design, K: np.ndarray, closed: np.ndarray) -> list[Value]:
     return [a - b for a, b in zip(u, pulls, strict=True)]
 
 
-def _weights(design: Design, name: str, given_weights: ArrayLike | None, sizes: np.ndarray, least: float) -> np.ndarray:
-    """The matrix of Q or R: as it was passed, of its diagonal, or by Bryson's rule."""
-    if given_weights is None:
-        return np.diag(1 / sizes**2)
-    matrix = array_checks.floats(name, given_weights)
-    matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
-    size = len(sizes)
-    fits = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
-    if not fits or np.linalg.eigvalsh(matrix).min() < least - 1e-12 * np.abs(matrix).max() * (least == 0):
-        kind = "positive definite" if least else "without negative eigenvalues"
-        raise design.refusal(f"{name} ({size}, {size}) symmetric and {kind}, or its diagonal, got {given_weights}",
-                             "write one weight each")  # fmt: skip
-    return matrix
+def lyapunov(A: np.ndarray, Q: np.ndarray | None = None) -> np.ndarray:
+    """The S of A'S + SA = -Q, (n, n), symmetric; positive definite where A is stable and Q, I by default, is."""
+    eye = np.eye(len(A))
+    right = -(eye if Q is None else Q)
+    return np.linalg.solve(np.kron(A.T, eye) + np.kron(eye, A.T), right.ravel()).reshape(A.shape)
+
+
+def riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """S of A'S + SA - S B inv(R) B' S + Q = 0 that stabilises, and K = inv(R) B' S: (n, n) and (m, n).
+
+    By the sign of the Hamiltonian matrix (Roberts 1971), with one step of Kleinman's iteration to clear its rounding.
+    Raises ConfigError where an unstable rate is not moved by the inputs, or one on the axis has no weight in Q.
+    """
+    _check_stabilisable(A, B)
+    n, G = len(A), B @ np.linalg.solve(R, B.T)
+    Z = np.block([[A, -G], [-Q, -A.T]])
+    try:
+        for _ in range(STEPS):
+            inverse = np.linalg.inv(Z)
+            scale = np.exp(-np.linalg.slogdet(Z)[1] / len(Z))
+            last, Z = Z, (scale * Z + inverse / scale) / 2
+            if np.linalg.norm(Z - last) <= CLOSE * np.linalg.norm(Z):
+                break
+        eye = np.eye(n)
+        left, right = np.vstack([Z[:n, n:], Z[n:, n:] + eye]), -np.vstack([Z[:n, :n] + eye, Z[n:, :n]])
+        S = np.linalg.lstsq(left, right, rcond=None)[0]
+        K = np.linalg.solve(R, B.T @ S)
+        S = lyapunov(A - B @ K, Q + K.T @ R @ K)
+        S = (S + S.T) / 2
+    except np.linalg.LinAlgError:
+        S = np.full((n, n), np.nan)
+    K = np.linalg.solve(R, B.T @ S)
+    if not np.isfinite(S).all() or np.linalg.eigvals(A - B @ K).real.max() >= 0:
+        raise ConfigError("lqr: expected weights Q that see every rate on the imaginary axis, got others; weigh more")
+    return S, K
+
+
+def _check_stabilisable(A: np.ndarray, B: np.ndarray) -> None:
+    """Raise ConfigError where the inputs do not move an eigenvalue of A whose real part is not negative (Hautus)."""
+    scale = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    direction = B / max(float(np.linalg.norm(B, 2)), np.finfo(float).tiny)
+    for rate in np.linalg.eigvals(A):
+        pencil = np.hstack([(A - rate * np.eye(len(A))) / scale, direction])
+        singular = np.linalg.svd(pencil, compute_uv=False)
+        if rate.real >= -SAME * scale and singular[-1] <= SAME * singular[0]:
+            shown = f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "")
+            raise ConfigError(
+                f"expected a linearisation that its inputs stabilise, got the rate {shown}, which they do not move; "
+                "write kappa(x, t, p, M)"
+            )

@@ -88,7 +88,7 @@ class Controller(InNotebook):
             "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
             "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
-            "follow": observer and observer.follow(), "correct": observer and observer.correct(),
+            "follow": observer and observer.follow, "correct": observer and observer.correct,
             "relief": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
         }  # fmt: skip
         self.settings = signals.settings(

@@ -34,13 +34,6 @@ class Sizes(NamedTuple):
     rate: float
 
 
-class Linearised(NamedTuple):
-    """z' = A z, y = C z near a point, z the state and, where they are observed, the offsets of the inputs."""
-
-    A: np.ndarray
-    C: np.ndarray
-
-
 class Observer(ABC):
     """An observer of the state X of a plant, from the commands and from samples Y of its outputs.
 
@@ -65,7 +58,13 @@ class Observer(ABC):
         if not plant.traced:
             came = f"{plant.name}, which says traced = False"
             raise ConfigError(f"{self.label}: expected a plant that is traced, got {came}; write f with M's functions")
-        self.outputs = self._outputs(outputs)
+        if isinstance(outputs, str):
+            cure = f'write ("{outputs}",)'
+            raise ConfigError(f"{self.label}: outputs expected a tuple of states, got {outputs!r}; {cure}")
+        self.outputs = plant.outputs if outputs is None else tuple(outputs)
+        for name in () if outputs is None else self.outputs:
+            if name not in plant.states:
+                raise ConfigError(unlisted(f"{self.label}: outputs", name, plant.states, "states,"))
         self.offset = offset is not False
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
         self._check_observable()
@@ -93,21 +92,15 @@ class Observer(ABC):
         """The memory to go on with where it was lost, and 1 where that is the variance of what it begins with."""
         return self.start(), np.zeros(len(self.start()))
 
+    @property
+    @abstractmethod
     def follow(self) -> Kernel:
         """npred.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
-        return self._follow
 
+    @property
+    @abstractmethod
     def correct(self) -> Kernel:
         """npred.delays.family.CORRECT_BY: the memory corrected by a sample, and what the sample differs by."""
-        return self._correct
-
-    @property
-    @abstractmethod
-    def _follow(self) -> Kernel: ...
-
-    @property
-    @abstractmethod
-    def _correct(self) -> Kernel: ...
 
     def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
         """Finite numbers (size,), or one for all. Raises ConfigError for others."""
@@ -134,14 +127,14 @@ class Observer(ABC):
         dx, rms, du, dy = (np.where(a > 0, a, 1.0) for a in parts)
         return Sizes(ends.mean(axis=0), dx, rms, du, dy, rate)
 
-    def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> Linearised:
-        """The plant near a point x (n,), u (m,)."""
+    def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """A and C of z' = A z, y = C z near a point x (n,), u (m,), z the state and the offsets, where observed."""
         n, size, count = self.plant.n, self.size, len(self.outputs)
         A, C = np.zeros((size, size)), np.zeros((count, size))
         A[:n, :n], f_U = self.plant.jacobians(x, u, t)
         A[:n, n:] = f_U[:, : size - n]
         C[:, :n] = np.reshape(self._output_program(*x, t, *self.plant.p)[count:], (count, n))
-        return Linearised(A, C)
+        return A, C
 
     def rank(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> int:
         """The rank of the observability matrix near a point, in units of the sizes and of the rate."""
@@ -173,23 +166,6 @@ class Observer(ABC):
         outputs, by_x = self._by_state(of.trace)
         results = {"y": len(outputs), "by_x": len(by_x)}
         return of.function([*outputs, *by_x], [vector("x", self.plant.n, "1"), "t"], results, "1")
-
-    def stop_function(self, of: Formulas) -> str:
-        """The C function that keeps a state within the plant's state_bounds."""
-        x = self.plant.stopped(of.trace.vector("x", self.plant.n), tape.M)
-        return of.function([*x], [vector("x", self.plant.n, "1")], {"y": self.plant.n}, "1")
-
-    def _outputs(self, outputs: Sequence[str] | None) -> tuple[str, ...]:
-        if outputs is None:
-            return self.plant.outputs
-        states = self.plant.states
-        for name in [outputs] if isinstance(outputs, str) else outputs:
-            if isinstance(outputs, str) or name not in states:
-                if isinstance(outputs, str):
-                    cure = f'write ("{outputs}",)'
-                    raise ConfigError(f"{self.label}: outputs expected a tuple of states, got {outputs!r}; {cure}")
-                raise ConfigError(unlisted(f"{self.label}: outputs", name, states, "states,"))
-        return tuple(outputs)
 
     @property
     def _places(self) -> list[int]:
@@ -225,8 +201,8 @@ class Observer(ABC):
     @cached_property
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """Points of the box (POINTS, n), and its ends (2, n)."""
-        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a))))
-                for name, a in zip(self.plant.states, self.operating_point[0].tolist(), strict=True)]  # fmt: skip
+        point = zip(self.plant.states, self.operating_point[0].tolist(), strict=True)
+        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a)))) for name, a in point]
         low, high = np.array(ends).T
         return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
 

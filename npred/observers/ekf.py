@@ -65,7 +65,7 @@ class EKF(Observer):
         return (U * np.diag(stored)) @ U.T
 
     @cached_property
-    def _follow(self) -> Kernel:
+    def follow(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
         trace = of.trace
         x, u, v, w = (trace.vector(name, size) for name, size in zip("xuvw", (n, m, n, m), strict=True))
@@ -77,9 +77,11 @@ class EKF(Observer):
         return made("ekf_follow", family.FOLLOW, text, functions, self._counts | {"WIDTH": 3 * self.size})
 
     @cached_property
-    def _correct(self) -> Kernel:
-        of = Formulas(self.plant, ())
-        functions = {"OUTPUT": self.output_function(of), "STOP": self.stop_function(of)}
+    def correct(self) -> Kernel:
+        n, of = self.plant.n, Formulas(self.plant, ())
+        x = self.plant.stopped(of.trace.vector("x", n), tape.M)  # a state stays within the plant's state_bounds
+        stop = of.function([*x], [vector("x", n, "1")], {"y": n}, "1")
+        functions = {"OUTPUT": self.output_function(of), "STOP": stop}
         return made("ekf_correct", family.CORRECT_BY, skeleton("ekf_correct.h"), functions, self._counts)
 
     @property

@@ -66,7 +66,7 @@ class Luenberger(Observer):
         return memory, np.concatenate([np.zeros(len(memory) - count), np.ones(count)])
 
     @cached_property
-    def _follow(self) -> Kernel:
+    def follow(self) -> Kernel:
         n, m, count, of = self.plant.n, self.plant.m, len(self.outputs), Formulas(self.plant, ())
         trace = of.trace
         L = np.reshape(trace.vector("l", self.size * count), (self.size, count))
@@ -87,7 +87,7 @@ class Luenberger(Observer):
         return made("luenberger_follow", family.FOLLOW, text, functions, {"N": n, "M": m})
 
     @cached_property
-    def _correct(self) -> Kernel:
+    def correct(self) -> Kernel:
         of = Formulas(self.plant, ())
         sizes = {"N": self.plant.n, "M": self.plant.m, "SIZE": self.size, "OUTPUTS": len(self.outputs)}
         text, functions = skeleton("luenberger_correct.h"), {"OUTPUT": self.output_function(of)}
@@ -99,17 +99,12 @@ def smallest_gain(A: np.ndarray, C: np.ndarray, dy: np.ndarray, rate: float) -> 
     size, weighed = len(A), C.T / dy**2
     faster = A + rate * np.eye(size)
     H = np.block([[faster.T, -weighed @ C], [np.zeros((size, size)), -faster]])
-    S = _sign(H) + np.eye(2 * size)
-    P = np.linalg.lstsq(S[:, size:], -S[:, :size], rcond=None)[0]
-    return P @ weighed
-
-
-def _sign(H: np.ndarray) -> np.ndarray:
-    """The matrix sign function by Newton's method [Roberts, Int. J. Control 32 (1980) 677]."""
-    for _ in range(100):
+    for _ in range(100):  # the sign of H by Newton's method [Roberts, Int. J. Control 32 (1980) 677]
         inverse = np.linalg.inv(H)
         scale = abs(np.linalg.det(H)) ** (-1 / len(H))
         last, H = H, 0.5 * (scale * H + inverse / scale)
         if np.abs(H - last).max() <= 1e-14 * np.abs(H).max():
             break
-    return H
+    S = H + np.eye(2 * size)
+    P = np.linalg.lstsq(S[:, size:], -S[:, :size], rcond=None)[0]
+    return P @ weighed

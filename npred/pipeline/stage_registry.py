@@ -66,9 +66,9 @@ class Planner(Resolver):
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError where these nodes ask for what the plant does not have."""
-        from npred import diagnosis
+        from npred.stages import pipeline_fit
 
-        diagnosis.require(self.plant, self.config, {node.stage for node in nodes})
+        pipeline_fit.require(self.plant, self.config, {node.stage for node in nodes})
 
     def version(self, node: Node) -> int:
         return STAGES[node.stage].version

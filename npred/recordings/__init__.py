@@ -48,8 +48,16 @@ def read(
     """
     if time_unit is not None and time_unit not in UNITS:
         raise ConfigError(unlisted("time_unit", time_unit, UNITS))
-    series = opened(path).series(names, time, time_unit)
-    return {name: _finite(path, name, *series[name]) for name in names}
+    kept, every = {}, opened(path).series(names, time, time_unit)
+    for name in names:
+        t, values = every[name]
+        number = np.isfinite(values)
+        rows = number & np.isfinite(t)
+        if not rows.any():
+            got = "numbers without a time" if number.any() else "empty cells or NaN alone" if len(t) else "no rows"
+            raise ConfigError(f"{path}: expected numbers in {name}, got {got}; name another column or check the file")
+        kept[name] = TimeSeries(t[rows], values[rows])
+    return kept
 
 
 def columns(path: Path) -> list[str]:
@@ -84,12 +92,3 @@ def decoding(path: Path, what: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise ConfigError(f"{path}: expected {what}, got: {first_line(error)}; check the file") from None
-
-
-def _finite(path: Path, name: str, t: np.ndarray, values: np.ndarray) -> TimeSeries:
-    number = np.isfinite(values)
-    kept = number & np.isfinite(t)
-    if not kept.any():
-        got = "numbers without a time" if number.any() else "empty cells or NaN alone" if len(t) else "no rows"
-        raise ConfigError(f"{path}: expected numbers in {name}, got {got}; name another column or check the file")
-    return TimeSeries(t[kept], values[kept])

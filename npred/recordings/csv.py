@@ -30,7 +30,11 @@ class Csv:
         self.path, lines = path, _lines(path)
         begin, separator, self.cells = self._header(lines)
         self.comma = separator != ","
-        self.names, self.units = _names(self.cells)
+        units = [UNIT.fullmatch(cell) for cell in self.cells]
+        short = [unit[1] if unit else cell for unit, cell in zip(units, self.cells, strict=True)]
+        often = Counter(short)  # a unit stays in a name that would not be unique without it
+        self.names = [name if often[name] == 1 else cell for name, cell in zip(short, self.cells, strict=True)]
+        self.units = {unit[1]: unit[2] or unit[3] or "" for unit in units if unit and often[unit[1]] == 1}
         self.numbers, rows = self._rows(lines, begin, separator)
         self.table = list(zip(*rows, strict=False)) or [()] * len(self.names)
 
@@ -40,7 +44,7 @@ class Csv:
 
     def series(self, names: Sequence[str], time: str | None, unit: str | None) -> dict[str, TimeSeries]:
         """The columns as they are; an empty cell is NaN."""
-        t = self._times(self._time(time), unit)
+        t = self._times(time, unit)
         return {name: TimeSeries(t, self._numbers(self._place(name))) for name in names}
 
     def _header(self, lines: Sequence[str]) -> tuple[int, str, list[str]]:
@@ -89,23 +93,21 @@ class Csv:
             raise ConfigError(f"{self.path}: expected one column {name}, got {len(places)}; rename them in the header")
         return places[0]
 
-    def _time(self, time: str | None) -> int:
+    def _times(self, time: str | None, unit: str | None) -> np.ndarray:
+        """Times in seconds; stamps from the first row on."""
         name = time or next((name for name in TIMES if name in self.names), None)
         if name is None:
             usual, got = ", ".join(TIMES), ", ".join(self.columns())
             raise ConfigError(f"{self.path}: expected a column of times ({usual}), got {got}; name it by --time")
-        return self._place(name)
-
-    def _times(self, place: int, unit: str | None) -> np.ndarray:
-        """Times in seconds; stamps from the first row on."""
+        place = self._place(name)
         first = next((cell.strip() for cell in self.table[place] if cell.strip()), "")
-        unit = unit or self.units.get(self.names[place], "s")
         try:
             start = None if _is_number(first) else datetime.fromisoformat(first)
         except ValueError:
             start = None
         if start is not None:
             return self._parsed(place, lambda cell: _since(start, cell), "a stamp as 2024-05-01T12:00:00.5, all alike,")
+        unit = unit or self.units.get(self.names[place], "s")
         if unit not in UNITS:
             expected = f"a unit of time in the header, one of {', '.join(UNITS)}"
             raise ConfigError(f"{self.path}: expected {expected}, got {unit!r}; name it by --time-unit")
@@ -148,16 +150,6 @@ def _cells(line: str, separator: str) -> list[str]:
     while len(cells) > 1 and not cells[-1]:
         cells.pop()
     return cells
-
-
-def _names(cells: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """The name of each column and the units by name. A unit stays in a name that would not be unique without it."""
-    matches = [UNIT.fullmatch(cell) for cell in cells]
-    short = [match[1] if match else cell for match, cell in zip(matches, cells, strict=True)]
-    often = Counter(short)
-    names = [name if often[name] == 1 else cell for name, cell in zip(short, cells, strict=True)]
-    units = {match[1]: match[2] or match[3] or "" for match in matches if match and often[match[1]] == 1}
-    return names, units
 
 
 def _is_number(cell: str) -> bool:

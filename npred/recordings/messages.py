@@ -59,16 +59,21 @@ class Topics(ABC):
     def series(self, names: Sequence[str], time: str | None, unit: str | None) -> dict[str, TimeSeries]:
         """The fields as they are; NaN where a message lacks one. Times are from the first message of the file on.
 
-        With `time`, a field of each message, they are what this has, in that unit.
+        With `time`, a field of each message, they are what this has, in that unit. The topic of a name is the longest
+        that fits.
         """
-        moment = _stamp if time in (None, LOG) else partial(_field, steps=_steps(time or ""))
+        by_stamp = time in (None, LOG)
+        moment = _stamp if by_stamp else partial(_field, steps=_steps(time or ""))
         series, fields = {}, defaultdict(dict)
         with self._opened() as bag:
             for name in names:
-                topic, steps = self._place(bag, name)
-                fields[topic][name] = steps
+                topics = [each for each in bag.topics if name == each or name.startswith((f"{each}.", f"{each}["))]
+                if not topics:
+                    raise unknown(self.path, name, self._names(bag))
+                topic = max(topics, key=len)
+                fields[topic][name] = _steps(name[len(topic) :])
             table = _table(bag, fields, moment)
-            times = self._clock(bag.start, table, time == LOG) if moment is _stamp else _moments(table, unit or "s")
+            times = self._clock(bag.start, table, time == LOG) if by_stamp else _moments(table, unit or "s")
             for topic, columns in table.items():
                 for name, column in zip(fields[topic], columns[2:], strict=True):
                     if (values := _numbers(column)) is None:
@@ -80,14 +85,6 @@ class Topics(ABC):
     def _opened(self) -> Iterator[Bag]:
         with decoding(self.path, self.what), self.bag() as bag:
             yield bag
-
-    def _place(self, bag: Bag, name: str) -> tuple[str, Steps]:
-        """The topic of a name, the longest that fits, and the steps to the field."""
-        topics = [topic for topic in bag.topics if name == topic or name.startswith((f"{topic}.", f"{topic}["))]
-        if not topics:
-            raise unknown(self.path, name, self._names(bag))
-        topic = max(topics, key=len)
-        return topic, _steps(name[len(topic) :])
 
     def _names(self, bag: Bag) -> Iterator[str]:
         for topic in sorted(bag.topics):
@@ -120,9 +117,11 @@ def _table(bag: Bag, fields: Mapping[str, Mapping[str, Steps]], moment: Callable
 
 def _moments(table: Mapping[str, Columns], unit: str) -> dict[str, np.ndarray]:
     """The times that are fields of the messages, in seconds; NaN where none has it."""
-    moments = {topic: columns[1] for topic, columns in table.items()}
-    columns = {topic: _numbers(values) for topic, values in moments.items()}
-    return {t: np.full(len(moments[t]), np.nan) if c is None else c * UNITS[unit] for t, c in columns.items()}
+    times = {}
+    for topic, (_, moments, *_) in table.items():
+        numbers = _numbers(moments)
+        times[topic] = np.full(len(moments), np.nan) if numbers is None else numbers * UNITS[unit]
+    return times
 
 
 def _steps(name: str) -> Steps:

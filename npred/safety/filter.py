@@ -42,10 +42,9 @@ class SafetyFilter:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, low in (("alpha", None), ("margin", 0.0), ("delay", 0.0)):
+        for name, room in (("alpha", "above 0"), ("margin", "of at least 0"), ("delay", "of at least 0")):
             value = array_checks.number(f"safety: {name}", getattr(self, name))
-            if not math.isfinite(value) or (value <= 0 if low is None else value < low):
-                room = "above 0" if low is None else "of at least 0"
+            if not math.isfinite(value) or value < 0 or (name == "alpha" and value == 0):
                 raise ConfigError(f"safety: expected {name} {room}, got {value:g}; give another")
 
     @property
@@ -108,7 +107,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
 
 def _barrier(
     trace: Trace, plant: Plant, k: int, h: Value, x: np.ndarray, u: np.ndarray, t: Value, alpha: Value
-) -> Value:  # fmt: skip
+) -> Value:
     """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves on the box."""
     along, psi, degree = trace.f(x, u, t), h, _degree(plant, k)[0]
     for order in range(1, degree + 1):
@@ -136,25 +135,20 @@ def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
     trace = Trace(plant)
     x, u, t = trace.symbols()
     along, still = trace.f(x, u, t), trace.f(x, np.zeros(plant.m), t)
+    X, moments = design.samples(plant), np.resize(design.moments(plant), design.SAMPLES)
+    limits = inputs.bounds(plant, None)
+    limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
+    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (design.SAMPLES, plant.m))
     y, decide = trace.safe(x, t)[k], []
     for degree in range(1, plant.n + 1):
         [rate] = programs.derivative([y], [t, *x], [1.0, *along])
         slopes = [programs.derivative([rate], [*u], [*unit])[0] for unit in np.eye(plant.m)]
         [y] = programs.derivative([y], [t, *x], [1.0, *still])
-        if _moved(plant, slopes, y):
+        rates = design.values(plant, [*slopes, y], X, U, moments)  # the last one is what is there where U = 0
+        if design.acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1]):
             return degree, decide
-        decide += [name for name, p in zip(plant.parameters, trace.parameters, strict=True)
-                   if programs.depends(slopes, [p])]  # fmt: skip
+        symbols = zip(plant.parameters, trace.parameters, strict=True)
+        decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
     raise ConfigError(
         f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
     )
-
-
-def _moved(plant: Plant, slopes: list[Value], drift: Value) -> bool:
-    """True if U moves a derivative on the box, by its slopes there, and its value where U = 0."""
-    X, t = design.samples(plant), np.resize(design.moments(plant), design.SAMPLES)
-    limits = inputs.bounds(plant, None)
-    limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
-    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (design.SAMPLES, plant.m))
-    rates = design.values(plant, [*slopes, drift], X, U, t)
-    return design.acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1])

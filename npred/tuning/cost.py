@@ -1,9 +1,9 @@
 """What loops of [evaluate] cost, by start: the time until they settle, and a little of the control effort."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, Self
 
 import numpy as np
 
@@ -11,16 +11,19 @@ from npred import plants, randomness
 from npred.conditions import Condition, scenarios
 from npred.config import Pipeline, Scenario
 from npred.errors import ConfigError
+from npred.laws.design import Design
+from npred.laws.law import rounded
+from npred.laws.regulator import adjustable, riccati, weights
 from npred.loop import metrics
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant
 from npred.predictors import numerical
 from npred.symbolic import programs
 from npred.symbolic.trace import Trace
-from npred.tuning.lqr_weights import LqrWeights
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
 ALPHA = "safety.alpha"  # of the safety filter, likewise
+LETTERS = ("Q", "R")  # weights of kappa = "lqr"
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
 
@@ -109,23 +112,65 @@ class Loops:
 
     def run(self, numbers: Mapping[str, float], progress: Progress) -> Settling:
         """The loops with these gamma, b and parameters, and the pipeline's numerical predictor."""
-        plant = varied(self.plant, numbers)
-        parts = [self._settling(condition, plant, numbers, progress) for condition in self.conditions]
+        plant, parts = varied(self.plant, numbers), []
+        for condition in self.conditions:
+            law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
+            safety = condition.table.safety
+            if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
+                law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
+            table = condition.table.model_copy(update=law)
+            predictor = numerical(table.predictor, plant, table.nx)
+            changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
+            loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
+            parts.append(Settling.of(loops, self.plant, self.states, limited=safety is not None))
         columns = ("time", "effort", "settled")
         return Settling(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
 
-    def _settling(
-        self, condition: Condition, plant: Plant, numbers: Mapping[str, float], progress: Progress
-    ) -> Settling:
-        law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
-        safety = condition.table.safety
-        if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
-            law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
-        table = condition.table.model_copy(update=law)
-        changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
-        predictor = numerical(table.predictor, plant, table.nx)
-        loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
-        return Settling.of(loops, self.plant, self.states, limited=safety is not None)
+
+@dataclass(frozen=True)
+class LqrWeights:
+    """The diagonals of Q and R of kappa = "lqr", as numbers that vary.
+
+    `present` has those of the plant's law, Q.<state> … and R.<input> …; `law` is the plant whose law takes K as
+    parameters, so that other weights solve a Riccati equation, and compile nothing.
+    """
+
+    design: Design
+    present: Mapping[str, float]
+    law: Plant
+
+    @classmethod
+    @lru_cache(maxsize=16)
+    def of(cls, plant: Plant) -> Self | None:
+        """None for a plant with another law. Raises ConfigError for weights that are no diagonals."""
+        table = dict(plant.law_table)
+        if table.pop("law", None) != "lqr":
+            return None
+        design = Design(plant, "lqr")
+        both = weights(design, **table)
+        if any(np.count_nonzero(matrix - np.diag(np.diag(matrix))) for matrix in both):
+            raise design.refusal("diagonals Q and R to tune, got a matrix", "write one weight each")
+        names = [*(f"Q.{name}" for name in plant.states), *(f"R.{name}" for name in plant.inputs)]
+        present = dict(zip(names, np.concatenate([np.diag(matrix) for matrix in both]).tolist(), strict=True))
+        return cls(design, present, adjustable(plant, riccati(*design.linearised, *both)[1]))
+
+    def named(self, free: Sequence[str]) -> list[str]:
+        """The names, with all weights for Q and R. Only ratios count: where all weights are free, the last is held."""
+        names = [name for name in self.present if name in free or name[0] in free]
+        names = names[:-1] if len(names) == len(self.present) else names
+        return [*(name for name in free if name not in (*LETTERS, *self.present)), *names]
+
+    def table(self, numbers: Mapping[str, float]) -> dict[str, Any]:
+        """The kappa of a pipeline with these weights, and the present ones for the others."""
+        numbers = {name: numbers.get(name, value) for name, value in self.present.items()}
+        return {"law": "lqr"} | {letter: [x for name, x in numbers.items() if name[0] == letter] for letter in LETTERS}
+
+    def varied(self, numbers: Mapping[str, float]) -> Plant:
+        """The plant with their gains. Raises ConfigError where the Riccati equation has no solution."""
+        table = self.table(numbers)
+        K = riccati(*self.design.linearised, np.diag(table["Q"]), np.diag(table["R"]))[1]
+        names = list(self.law.parameters)[-K.size :]
+        return plants.varied(self.law, tuple(zip(names, rounded(K).ravel().tolist(), strict=True)))
 
 
 def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
@@ -142,13 +187,12 @@ def gains(plant: Plant) -> list[str]:
     """
     if not plant.traced:
         raise ConfigError(f"plant {plant.name}: free expected a traced plant, got traced = False; leave free out")
-    return [name for k, name in enumerate(plant.parameters) if name not in LAW and _read(plant, k)]
-
-
-def _read(plant: Plant, k: int) -> bool:
     trace = Trace(plant)
     x, u, t = trace.symbols()
-    fixed = [*trace.f(x, u, t), *([trace.delay(x, t)] if plant.declares_delay else [])]
+    kappa, fixed = [*trace.kappa(x, t)], [*trace.f(x, u, t), *([trace.delay(x, t)] if plant.declares_delay else [])]
     fixed += [*(trace.reference(t) if plant.tracks else []), *(trace.safe(x, t) if plant.declares_safe else [])]
-    p = [trace.parameters[k]]
-    return programs.depends([*trace.kappa(x, t)], p) and not programs.depends(fixed, p)
+    names = []
+    for name, symbol in zip(plant.parameters, trace.parameters, strict=True):
+        if name not in LAW and programs.depends(kappa, [symbol]) and not programs.depends(fixed, [symbol]):
+            names.append(name)
+    return names

@@ -19,8 +19,7 @@ from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
 from npred.terminal.console import Console
-from npred.tuning.cost import ALPHA, LAW, Loops, Progress, Settling, Yardstick, gains
-from npred.tuning.lqr_weights import LqrWeights
+from npred.tuning.cost import ALPHA, LAW, Loops, LqrWeights, Progress, Settling, Yardstick, gains
 
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
 # A default range is the present number divided and multiplied by this …
@@ -44,17 +43,21 @@ class Ranges:
         chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
         weights = LqrWeights.of(plant)
         chosen = weights.named(chosen) if weights else chosen
-        offered = _offered(plant, weights) if chosen else {}
+        offered = {name: plant.parameters[name] for name in gains(plant)} if plant.traced or chosen else {}
+        offered |= weights.present if weights else {}
         for name in chosen:
             if name not in offered:
                 raise ConfigError(unlisted("free", name, offered, "gains, which kappa reads and the plant does not:"))
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
         if ALPHA in table.free:
-            present |= {ALPHA: _alpha(pipeline)}
+            if pipeline.evaluate.safety is None:
+                expected = "expected a safety filter in [evaluate], found none; add safety = { alpha = 1.0 }"
+                raise ConfigError(f"free: {ALPHA} {expected}")
+            present |= {ALPHA: pipeline.evaluate.safety.alpha}
         spans = {name: _span(name, value, table.bounds) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
         if not free:
-            names = ", ".join(_offered(plant, weights)) if plant.traced else "none"
+            names = ", ".join(offered) if plant.traced else "none"
             raise ConfigError(f"free: expected something to tune, got nothing; name gains of kappa, here: {names}")
         low, high = np.array([spans[name] for name in free], dtype=float).T
         return cls(free, low, high)
@@ -73,19 +76,6 @@ class Ranges:
         return np.array(z)
 
 
-def _offered(plant: Plant, weights: LqrWeights | None) -> dict[str, float]:
-    return {name: plant.parameters[name] for name in gains(plant)} | (dict(weights.present) if weights else {})
-
-
-def _alpha(pipeline: Pipeline) -> float:
-    """That of the safety filter in [evaluate]. Raises ConfigError where there is none."""
-    if pipeline.evaluate.safety is None:
-        raise ConfigError(
-            f"free: {ALPHA} expected a safety filter in [evaluate], found none; add safety = {{ alpha = 1.0 }}"
-        )
-    return pipeline.evaluate.safety.alpha
-
-
 def _span(name: str, value: float, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
     """The range of a number: its bounds, or those of all Q or R, which are times the present weight, or by default."""
     letter, dot, _ = name.partition(".")
@@ -96,8 +86,8 @@ def _span(name: str, value: float, bounds: Mapping[str, tuple[float, float]]) ->
     far = FAR.get(letter, GAIN_FAR)
     if value == 0:
         raise ConfigError(f"free: expected a range for {name}, which is 0 now, got none; write {name}=LOW:HIGH")
-    ends = (value / far, value * far)
-    return min(ends), max(ends)
+    low, high = sorted((value / far, value * far))
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -151,22 +141,20 @@ class _Search:
         """CMA-ES from the present numbers, then, where it has converged, from random ones with twice the points."""
         start, size = self.ranges.start(), 4 + int(3 * np.log(max(len(self.ranges.low), 2)))
         while self.tried + size <= evaluations:
-            self._descend(_started(start, size, rng), evaluations, progress)
+            search = _started(start, size, rng)
+            while not search.stop() and self.tried + search.popsize <= evaluations:
+                asked = search.ask()
+                numbers = [self.ranges.numbers(z) for z in asked]
+                outcomes = list(self.pool.map(lambda each: self._loops(each, progress), numbers))
+                costs = [float(self.yardstick.costs(outcome).mean()) for outcome in outcomes]
+                search.tell(asked, costs)
+                self.tried += len(costs)
+                k = int(np.argmin(costs))
+                if costs[k] < self.best.cost:
+                    judged = self.judges.run(numbers[k], lambda steps: interruption.check())
+                    self.best = _Best(numbers[k], costs[k], outcomes[k], judged)
+                    self.console.detail(f"tune: cost {costs[k]:.4g} after {self.tried}: {said(numbers[k])}")
             start, size = rng.uniform(size=len(start)), 2 * size
-
-    def _descend(self, search: Any, evaluations: int, progress: Progress) -> None:
-        while not search.stop() and self.tried + search.popsize <= evaluations:
-            asked = search.ask()
-            numbers = [self.ranges.numbers(z) for z in asked]
-            outcomes = list(self.pool.map(lambda each: self._loops(each, progress), numbers))
-            costs = [float(self.yardstick.costs(outcome).mean()) for outcome in outcomes]
-            search.tell(asked, costs)
-            self.tried += len(costs)
-            k = int(np.argmin(costs))
-            if costs[k] < self.best.cost:
-                judged = self.judges.run(numbers[k], lambda steps: interruption.check())
-                self.best = _Best(numbers[k], costs[k], outcomes[k], judged)
-                self.console.detail(f"tune: cost {costs[k]:.4g} after {self.tried}: {said(numbers[k])}")
 
     def _loops(self, numbers: Mapping[str, float], progress: Progress) -> Settling:
         try:
@@ -181,10 +169,8 @@ def _started(start: np.ndarray, size: int, rng: np.random.Generator) -> Any:
     import cma  # it takes a while
 
     z = np.append(start, [0.5] * (2 - len(start)))
-    options = {
-        "popsize": size, "bounds": [0.0, 1.0], "randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan,
-        "verbose": -9,
-    }  # fmt: skip
+    options = {"popsize": size, "bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}
+    options["randn"] = lambda *shape: rng.standard_normal(shape)
     return cma.CMAEvolutionStrategy(z, SPREAD, options)
 
 
@@ -201,18 +187,17 @@ def said(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in numbers.items())
 
 
-def _result(
-    pipeline: Pipeline, plant: Plant, table: Tune, search: _Search, before: _Best, interrupted: bool
-) -> Tuned:  # fmt: skip
+def _result(pipeline: Pipeline, plant: Plant, table: Tune, search: _Search, before: _Best, interrupted: bool) -> Tuned:
     best, ranges = search.best, search.ranges
     costs = search.yardstick.costs
     rng = randomness.generator(pipeline.seed, "tune", "bootstrap")
     gain, interval = gained(costs(before.held_out), costs(best.held_out), rng)
     enough = gain >= table.margin and interval[0] > 0
     spread = f"{gain:.1%} on held-out starts, with 95 % between {interval[0]:.1%} and {interval[1]:.1%}"
-    answer = f"{said(best.numbers)}: the cost falls by {spread}" if enough else (
-        f"nothing to gain: the best of {search.tried} tries lowers the cost by {spread}; {table.margin:.1%} would count"
-    )  # fmt: skip
+    answer = f"{said(best.numbers)}: the cost falls by {spread}"
+    if not enough:
+        answer = f"nothing to gain: the best of {search.tried} tries lowers the cost by {spread}"
+        answer += f"; {table.margin:.1%} would count"
     ends = zip(ranges.low.tolist(), ranges.high.tolist(), strict=True)
     numbers = [
         TunedNumber(name=name, before=ranges.present[name], after=best.numbers[name], low=low, high=high)
@@ -230,13 +215,11 @@ def _result(
 
 def _judged(yardstick: Yardstick, outcomes: Sequence[Settling]) -> JudgedLoops:
     before, after = outcomes
+    times = [each.time[each.settled] for each in outcomes]
+    mean, mean_after = (float(settled.mean()) if settled.size else None for settled in times)
     return JudgedLoops(
         loops=before.time.size,
         cost=(float(yardstick.costs(before).mean()), float(yardstick.costs(after).mean())),
-        settle_time=(_settle_time(before), _settle_time(after)),
+        settle_time=(mean, mean_after),
         unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),
     )
-
-
-def _settle_time(outcome: Settling) -> float | None:
-    return float(outcome.time[outcome.settled].mean()) if outcome.settled.any() else None

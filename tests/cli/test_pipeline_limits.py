@@ -11,13 +11,14 @@ from conftest import settings_of
 from typer.testing import CliRunner
 
 import npred
-from npred import config, diagnosis, operators, randomness
+from npred import config, operators, randomness
 from npred.cli import app
 from npred.conditions import starts
 from npred.errors import ConfigError
 from npred.pipeline import Node, load_model
 from npred.predictors import RK4
 from npred.runtimes.fused import Fused
+from npred.stages import pipeline_fit
 
 CART = """
 class Cart:
@@ -188,4 +189,4 @@ def test_a_filter_of_a_plant_without_limits_is_refused_before_anything_runs():
     tables = {"plant": "scalar", "evaluate": {"X0": [0.5], "scenarios": [{"name": "a", "safety": {"alpha": 1.0}}]}}
     pipeline = config.parse(tables, "tests")
     with pytest.raises(ConfigError, match=r"expected a plant with safe\(x, t, p, M\)"):
-        diagnosis.require(npred.plant("scalar"), pipeline, ("evaluate",))
+        pipeline_fit.require(npred.plant("scalar"), pipeline, ("evaluate",))

@@ -10,7 +10,8 @@ from typer.testing import CliRunner, Result
 
 from npred import config, plants
 from npred.cli import app
-from npred.diagnosis import check, require
+from npred.diagnosis import check
+from npred.stages.pipeline_fit import require
 
 SMALL = (
     *("generate.samples=200", "generate.rollouts=4", "generate.t_end=4", "train.deeponet.epochs=1"),

@@ -18,10 +18,11 @@ from npred.cli import app
 from npred.diagnosis import check, lyapunov, settled
 from npred.errors import ConfigError
 from npred.plants import Plant
+from npred.stages import pipeline_fit
 
 QUESTIONS = [
     *("trace", "smooth law", "box", "finite", "delay", "equilibrium", "stability", "V", "input bounds", "convergence"),
-    *("delay margin", "jacobians", "stiffness", "completeness"),
+    *("delay margin", "stiffness", "completeness"),
 ]
 
 
@@ -152,35 +153,15 @@ def test_a_reference_is_compared_with_the_loop_of_the_law():
     assert answer.verdict == "no" and "expected a trajectory of f with kappa, got one" in answer.text
 
 
-@pytest.mark.parametrize("wrong", ["jacobians", "kappa_jacobian"])
-@pytest.mark.parametrize("factor", [1.001, np.nan])
-def test_a_wrong_derivative_is_found_and_stiffness_not_asked(tank_file, monkeypatch, wrong, factor):
+def test_a_derivative_that_is_not_finite_is_an_answer_of_no(tank_file, monkeypatch):
     plant = plants.resolve(tank_file())
-    right = getattr(plant, wrong)
+    right = plant.jacobians
     _ = plant.equilibrium
     asked = [question for question in diagnosis.QUESTIONS if question.name not in ("stability", "V", "convergence")]
     monkeypatch.setattr(diagnosis, "QUESTIONS", asked)
-    monkeypatch.setattr(plant, wrong, lambda *at: factor * np.array(right(*at)))
-    found = answers(plant)
-    assert found["jacobians"].verdict == "no"
-    assert "stiffness" not in found and found["completeness"].verdict == "yes"
-
-
-def test_a_kink_on_the_box_is_no_wrong_derivative():
-    class Bent:
-        states, inputs, box = ("h",), ("q",), {"h": (-1e-4, 1e-4)}
-
-        def f(x, u, t, p, M):
-            return [u.q - M.abs(x.h)]
-
-        def kappa(x, t, p, M):
-            return [-2 * x.h]
-
-        def V(x, t, p, M):
-            return x.h**2
-
-    plant = Plant("Bent", Bent)
-    assert answers(plant)["jacobians"].verdict == "yes"
+    monkeypatch.setattr(plant, "jacobians", lambda *at: np.nan * np.array(right(*at)))
+    answer = answers(plant)["stiffness"]
+    assert answer.verdict == "no" and "(my_plant.py:10): no derivative at h = " in answer.text
 
 
 @pytest.mark.parametrize("settings", [{"delay": 0.0}, {"delay": np.inf}, {"nodes": 1}])
@@ -300,8 +281,9 @@ def test_the_delay_is_the_plants_or_the_pipelines_before_it_is_assumed():
     assert answers(chain, delay=0.1)["delay"].text == "0.1 s, as asked"
     loops = {"D": [0.5, 0.7], "D_hat0": [[0.2, 0.9]]}
     tables = {"plant": "scalar", "generate": loops, "evaluate": {"D": 0.5, "D_hat0": 0.6, "case_D_hat0": [0.3]}}
-    found = answers(plants.resolve("scalar"), pipeline=config.parse(tables, "tests"))
-    assert found["delay"].text.startswith("0.9 s, the longest delay or first estimate")
+    found = pipeline_fit.check(plants.resolve("scalar"), config.parse(tables, "tests"))
+    (text,) = [answer.text for answer in found if answer.check == "delay"]
+    assert text.startswith("0.9 s, the longest delay or first estimate")
 
 
 def test_the_open_loop_starts_with_u0():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from test_identify import decay
 
-from npred.identification.identified import Alternative, Findings
+from npred.identification.alternatives import Alternative
+from npred.identification.estimate import Parameter
+from npred.identification.identified import Findings
 
 HIGH = 1.5
 
@@ -12,7 +14,7 @@ HIGH = 1.5
 def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findings:
     """Findings of a delay of 0.3 s, of which delays up to 1.5 s were tried."""
     found = {
-        "plant": decay(), "D": np.array([0.3]), "interval": np.array([interval]), "low": np.zeros(1),
+        "plant": decay(), "D": np.array([0.3]), "interval": np.array([interval]),
         "high": np.full(1, HIGH), "period": 0.05, "alternatives": [Alternative(0.2, as_good, behind)],
         "still": np.zeros(1, dtype=bool), "parameters": {}, "assumed": {}, "inflation": 1.0, "closed": 0.0,
         "held_back": {},
@@ -49,10 +51,10 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
         ({"inflation": 2.1}, "Errors stay on one side for 2.1 samples"),
         ({"assumed": {"a": 2.1}}, "The log asks for another value of a, 2.1 times as far as was allowed."),
         (
-            {"parameters": {"a": (1.0, 0.9, 1.1, -0.96)}},
+            {"parameters": {"a": Parameter(1.0, 0.9, 1.1, -0.96)}},
             "hardly tells a from the delay: their errors correlate by -0.96",
         ),
-        ({"parameters": {"a": (1.0, -5.0, 5.1, 0.0)}}, "a is not identifiable"),
+        ({"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}}, "a is not identifiable"),
     ],
 )
 def test_what_is_odd_is_said_and_only_then(changes, words):

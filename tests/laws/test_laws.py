@@ -23,11 +23,11 @@ from npred.cli import app
 from npred.diagnosis import Case, region
 from npred.errors import ConfigError
 from npred.laws.design import MOMENTS, SPAN, Design
-from npred.laws.riccati import riccati
+from npred.laws.regulator import riccati
 from npred.plants import Plant
 from npred.predictors import RK4
 from npred.stages.configuration import identity
-from npred.tuning.lqr_weights import LqrWeights
+from npred.tuning.cost import LqrWeights
 
 LAWLESS = """
 class Pendulum:

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 import npred
-from npred import diagnosis, plants
+from npred import plants
 from npred.config import parse
 from npred.errors import ConfigError
 from npred.loop import metrics
 from npred.loop.adaptation import suited_gamma
 from npred.plants import Plant
+from npred.stages import pipeline_fit
 
 SCALAR = npred.plant("scalar")
 
@@ -95,7 +96,7 @@ def test_a_controller_takes_the_delay_from_its_first_estimate_or_asks():
 def doubts(name: str, D: float, **evaluate) -> list[str]:
     """What is said before a run of a pipeline that gives nothing but D."""
     pipeline = parse({"plant": name, "generate": {"D": D}, "evaluate": {"D": D} | evaluate}, "tests")
-    return diagnosis.doubts(plants.resolve(pipeline.plant, {}), pipeline)
+    return pipeline_fit.doubts(plants.resolve(pipeline.plant, {}), pipeline)
 
 
 def test_lost_loops_are_told_before_a_run_with_a_gain_to_give():

@@ -75,14 +75,14 @@ def follow(observer: Observer, memory: np.ndarray, U, dt: float, t: float = 0.0,
         np.broadcast_to(np.asarray(a, dtype=float), m).reshape(m, 1).copy()
         for a in (U, U if after is None else after, share)
     )
-    observer.follow()(U0, U1, shares, dt, t, observer.plant.p, observer.settings, memory)
+    observer.follow(U0, U1, shares, dt, t, observer.plant.p, observer.settings, memory)
 
 
 def correct(observer: Observer, memory: np.ndarray, Y, t: float = 0.0, gate: float = np.inf):
     """Innovation and spread of a sample, which corrects the memory."""
     innovation, spread = np.empty((2, len(observer.outputs)))
-    observer.correct()(np.asarray(Y, dtype=float).reshape(-1, 1), t, observer.plant.p, gate, observer.settings, memory,
-                       innovation, spread)  # fmt: skip
+    Y = np.asarray(Y, dtype=float).reshape(-1, 1)
+    observer.correct(Y, t, observer.plant.p, gate, observer.settings, memory, innovation, spread)
     return innovation, spread
 
 

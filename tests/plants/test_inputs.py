@@ -9,13 +9,14 @@ from jobs import job
 from reactor import Reactor
 from scipy.integrate import solve_ivp
 
-from npred import config, diagnosis, plants
+from npred import config, plants
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
 from npred.pipeline import nodes
 from npred.plants import Plant, inputs
 from npred.predictors import RK4
+from npred.stages import pipeline_fit
 from npred.stages.generate import generate
 
 REACTOR, SCALAR = Plant("reactor", Reactor), plants.resolve("scalar")
@@ -90,8 +91,8 @@ def test_an_equilibrium_is_needed_where_one_is_asked_for():
 def test_a_pipeline_that_asks_for_what_is_refused_does_not_start(stage):
     more = {"X0": [0.5, 350.0]} if stage == "evaluate" else {}
     with pytest.raises(ConfigError, match=rf"{stage}.u0: expected within input_bounds .*got Tc = 0"):
-        diagnosis.require(REACTOR, pipeline(stage, u0=0.0, **more), [stage])
-    diagnosis.require(REACTOR, pipeline(stage, u0=[280], **more), [stage])
+        pipeline_fit.require(REACTOR, pipeline(stage, u0=0.0, **more), [stage])
+    pipeline_fit.require(REACTOR, pipeline(stage, u0=[280], **more), [stage])
 
 
 def test_a_reactor_runs_from_its_own_file_and_zero_kelvin_does_not(tmp_path):
@@ -178,5 +179,5 @@ def test_a_pipeline_names_a_history_by_its_rows():
     asked = pipeline(**LOOPS, u0=rows)
     assert inputs.configured(REACTOR, asked.generate.u0, asked.generate.input_bounds, "generate").tolist() == rows
     assert inputs.sentence(REACTOR, rows, inputs.bounds(REACTOR, None)) == "a history of 3 rows"
-    answers = {answer.check: answer.verdict for answer in diagnosis.check(REACTOR, pipeline=asked)}
+    answers = {answer.check: answer.verdict for answer in pipeline_fit.check(REACTOR, asked)}
     assert answers["completeness"] == "yes"

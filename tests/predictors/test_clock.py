@@ -6,9 +6,8 @@ import torch
 from driven import driven
 from operator_samples import EVERY, NETWORKS
 
-from npred import grid, plants, predictors
+from npred import config, grid, plants, predictors
 from npred.delays import problem_of
-from npred.diagnosis import Case, pipeline_fit
 from npred.errors import ConfigError
 from npred.loop.closed_loop import simulate
 from npred.operators import Scaling, build
@@ -17,6 +16,7 @@ from npred.predictors import RK4
 from npred.predictors.neural import Neural
 from npred.registry import METHODS
 from npred.runtimes import predictor
+from npred.stages.pipeline_fit import PipelineFit, clock
 from npred.training.rows import Rows
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")
@@ -137,14 +137,17 @@ def test_every_runtime_sees_the_time(runtime):
     np.testing.assert_allclose(predictor(runtime, UNICYCLE, model.operator, 21)(X, u, D_hat, t), P, atol=1e-4)
 
 
+PIPELINE = config.parse({"plant": "scalar"}, "tests")
+
+
 def test_without_a_period_no_network_can_serve_it():
     u = np.ones((21, 1)) * grid.nodes(21)[:, None]
     assert RK4(driven(), 21)([1.0], u, 0.5, 0.3).shape == (21, 1)
     with pytest.raises(ConfigError, match="Driven: expected a period, for its prediction depends on time"):
-        pipeline_fit.clock(Case(driven(), 0.5, 21, 8))
+        clock(PipelineFit(driven(), PIPELINE, ()))
     with pytest.raises(ConfigError, match="Driven: f and kappa expected to repeat after 3 s; set period"):
-        pipeline_fit.clock(Case(driven(period=3.0), 0.5, 21, 8))
-    pipeline_fit.clock(Case(driven(period=np.pi), 0.5, 21, 8))
+        clock(PipelineFit(driven(period=3.0), PIPELINE, ()))
+    clock(PipelineFit(driven(period=np.pi), PIPELINE, ()))
 
 
 @NETWORKS
@@ -164,10 +167,10 @@ def test_a_delay_that_comes_back_to_a_value_does_not_tell_the_time():
     def late(x, t, p, M):
         return 1 + 0.5 * M.sin(t)
 
-    pipeline_fit.clock(Case(IN_TIME, 1.0, 21, 8))
+    clock(PipelineFit(IN_TIME, PIPELINE, ()))
     plant = Plant("late", type("Late", (IN_TIME.declaration,), {"delay": late}))
     with pytest.raises(ConfigError, match=r"expected a delay that only rises or only falls for 100 s.*declare period"):
-        pipeline_fit.clock(Case(plant, 1.0, 21, 8))
+        clock(PipelineFit(plant, PIPELINE, ()))
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, "often"])

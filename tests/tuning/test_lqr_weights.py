@@ -16,8 +16,7 @@ from npred.errors import ConfigError
 from npred.kernels import compiler
 from npred.plants import Plant
 from npred.results import Tuned
-from npred.tuning.cost import Loops, Yardstick, varied
-from npred.tuning.lqr_weights import LqrWeights
+from npred.tuning.cost import Loops, LqrWeights, Yardstick, varied
 from npred.tuning.tune import tune
 
 PLANT = """

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from npred import array_checks, diagnosis, grid, randomness
+from npred import array_checks, grid, randomness
 from npred.config import Pipeline
 from npred.data.dataset import Dataset
 from npred.diagnosis.case import WITHOUT_V
@@ -12,6 +12,7 @@ from npred.operators.weights import untrained
 from npred.plants import Plant
 from npred.results.bench import BreakEven, Crossover
 from npred.runtimes.fused import Fused
+from npred.stages import pipeline_fit
 from npred.stages.bench import break_even, candidates, timing_tables
 from npred.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.stages.generate import rollouts
@@ -34,7 +35,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> BreakEven:
     if not plant.declares_V and pipeline.generate.adaptation not in WITHOUT_V:  # its loops are asked for samples only
         adapted = pipeline.generate.model_copy(update={"adaptation": "delay-observer", "actuator": "history"})
         pipeline = pipeline.model_copy(update={"generate": adapted})
-    diagnosis.require(plant, pipeline, ("generate",))
+    pipeline_fit.require(plant, pipeline, ("generate",))
     reference = Reference.of(plant, _samples(pipeline, plant))
     nx = grid.count(pipeline.bench.dx[0])
     weights = untrained(pipeline.train.table(NETWORK), plant, randomness.generator(pipeline.seed, "bench"))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from npred import diagnosis
 from npred.config import Generate, Pipeline
 from npred.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
@@ -16,6 +15,7 @@ from npred.parallel import executors
 from npred.progress import counted
 from npred.registry import short_name
 from npred.results import Generated
+from npred.stages import pipeline_fit
 from npred.stages.generate import rollouts, sampling, sharded
 from npred.stages.generate.rollouts import Columns
 from npred.stages.job import Job
@@ -31,7 +31,7 @@ def run(job: Job) -> Generated:
     instead, checked against the plant. Raises DivergedError, naming the rollout, where a state is not finite.
     """
     config = job.config.generate
-    for doubt in diagnosis.doubts(job.plant, job.config):
+    for doubt in pipeline_fit.doubts(job.plant, job.config):
         job.progress.warn(doubt)
     if config.data:  # the samples of a file instead of simulated ones
         data = Dataset.read(Path(config.data))

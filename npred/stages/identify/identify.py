@@ -11,11 +11,8 @@ from npred.errors import ConfigError
 from npred.figures import identified as drawings
 from npred.figures.figure import Figure, write
 from npred.figures.table import Column, Table
-from npred.identification import recorded
 from npred.identification.identified import Identified
-from npred.identification.identify import of_log
-from npred.identification.log import Log
-from npred.identification.preparation import Settings
+from npred.identification.identify import Settings, of_log, recorded
 from npred.plants import Plant
 from npred.results import IdentifiedResult
 from npred.stages.job import Job
@@ -32,40 +29,19 @@ def run(job: Job) -> IdentifiedResult:
         raise ConfigError(
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
-    log = recorded.read(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
-    settings = Settings(
-        tuple(table.free),
-        table.bounds,
-        table.longest,
-        table.offset,
-        table.time_varying,
-        table.model_error,
-        job.config.seed,
-    )
-    identified = of_log(plant, log, settings)
+    log = recorded(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
+    free, seed = tuple(table.free), job.config.seed
+    asked = Settings(free, table.bounds, table.longest, table.offset, table.time_varying, table.model_error, seed)
+    identified = of_log(plant, log, asked)
     drawn = _drawn(identified)
     with h5py.File(job.folder / "identified.h5", "w") as file:
         for name, values in drawn.items():
             file[name] = values
-    result = _result(identified, log)
-    figures = list(drawings.figures(plant, drawn))
-    for figure in figures:
-        write(figure, job.folder)
-    (job.folder / PAGE).write_text(_page(job, result, figures), encoding="utf-8")
-    return result
-
-
-def summary(result: IdentifiedResult, width: int | None = None) -> str:
-    """What is known, in sentences."""
-    return "\n".join(result.sentences)
-
-
-def _result(identified: Identified, log: Log) -> IdentifiedResult:
     windows = identified.windows
     lists = windows and {"t": windows.t.tolist(), "D": windows.D.tolist(), "interval": windows.interval.tolist()}
-    return IdentifiedResult(
-        plant=identified.plant.name,
-        inputs=list(identified.plant.inputs),
+    result = IdentifiedResult(
+        plant=plant.name,
+        inputs=list(plant.inputs),
         D=identified.D.tolist(),
         interval=identified.interval.tolist(),
         identifiable=identified.identifiable.tolist(),
@@ -77,6 +53,16 @@ def _result(identified: Identified, log: Log) -> IdentifiedResult:
         period=log.period,
         **({"windows": lists} if lists else {}),
     )
+    figures = list(drawings.figures(plant, drawn))
+    for figure in figures:
+        write(figure, job.folder)
+    (job.folder / PAGE).write_text(_page(job, result, figures), encoding="utf-8")
+    return result
+
+
+def summary(result: IdentifiedResult, width: int | None = None) -> str:
+    """What is known, in sentences."""
+    return "\n".join(result.sentences)
 
 
 def _drawn(identified: Identified) -> dict[str, Any]:

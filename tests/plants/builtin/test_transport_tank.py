@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 import npred
 from npred import config, diagnosis, plants
 from npred.predictors import RK4
+from npred.stages import pipeline_fit
 
 PLANT = plants.resolve("transport_tank")
 START = np.array([2.8, 25.0])
@@ -70,4 +71,4 @@ def test_from_the_first_command_on_the_loop_is_the_one_without_delay():
 
 def test_its_pipeline_fits():
     pipeline = config.load(Path(__file__).parents[3] / "pipeline" / "state_delay.toml")
-    diagnosis.require(plants.resolve(pipeline.plant), pipeline, ("generate", "train", "evaluate", "bench"))
+    pipeline_fit.require(plants.resolve(pipeline.plant), pipeline, ("generate", "train", "evaluate", "bench"))

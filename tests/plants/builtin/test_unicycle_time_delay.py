@@ -8,6 +8,7 @@ from varying_delays import InTime
 import npred
 from npred import config, defaults, diagnosis, plants
 from npred.predictors import RK4
+from npred.stages import pipeline_fit
 from npred.stages.configuration import identity
 
 PLANT = plants.resolve("unicycle_time_delay")
@@ -47,4 +48,4 @@ def test_from_the_first_command_on_it_converges_as_the_unicycle_does():
 def test_its_pipeline_fits():
     pipeline = config.load(defaults.shipped()["time_delay"])
     assert plants.resolve(pipeline.plant).name == PLANT.name
-    diagnosis.require(PLANT, pipeline, ("generate", "train", "evaluate", "bench"))
+    pipeline_fit.require(PLANT, pipeline, ("generate", "train", "evaluate", "bench"))

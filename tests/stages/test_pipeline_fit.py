@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from follower import Follower
 
-from npred import array_checks, config, diagnosis, plants
-from npred.diagnosis import equilibrium, pipeline_fit
+from npred import array_checks, config, plants
+from npred.diagnosis import equilibrium
 from npred.errors import ConfigError
-from npred.loop.closed_loop import LANES
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
+from npred.stages import pipeline_fit
 
 MOVING = """
 class Moving:
@@ -47,7 +47,7 @@ class Clock:
 
 def check(stages=("generate", "evaluate"), **tables):
     pipeline = config.parse({"plant": "activator_repressor"} | tables, "tests")
-    diagnosis.require(plants.resolve(pipeline.plant, pipeline.parameters), pipeline, stages)
+    pipeline_fit.require(plants.resolve(pipeline.plant, pipeline.parameters), pipeline, stages)
 
 
 def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
@@ -95,7 +95,6 @@ def test_what_does_not_fit_is_told(tables, message):
 )
 def test_what_no_memory_holds_is_told_before_anything_runs(monkeypatch, stage, tables, key):
     monkeypatch.setattr(array_checks, "memory", lambda: 2**36)
-    assert LANES == pipeline_fit.SIDE_BY_SIDE
     tables = {"evaluate": {}} | tables
     tables["evaluate"] = {"X0": [0.03, 30.0]} | tables["evaluate"]
     with pytest.raises(ConfigError, match=rf"^{re.escape(key)}: expected what fits into memory, 68.7 GB, got arrays"):
