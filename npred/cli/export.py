@@ -3,6 +3,7 @@ evaluated loop as C99 with a test inside, and as a Functional Mock-up Unit.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,10 +17,9 @@ from npred.config import Evaluate
 from npred.data import shards
 from npred.data.dataset import Dataset
 from npred.errors import ConfigError, imported, unlisted
-from npred.loop import delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
-from npred.loop.loop_checks import HISTORY
+from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
 from npred.operators import TrainedOperator
 from npred.pipeline import Stored, load_model
@@ -152,7 +152,7 @@ def _built(options: Exporting, key: str) -> Built:
     pipeline = config.load(path, options.overrides)
     table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
     predictor = _predictor(options, f"{path}:{model}" if model else "", plant, table)
-    more = {"oldest": options.oldest, "watchdog": watchdog(options.watchdog)}
+    more = {"max_sample_age": options.oldest, "watchdog": watchdog(options.watchdog)}
     controller = of_table(plant, predictor, table, **more)
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
@@ -185,16 +185,12 @@ def _predictor(options: Exporting, spec: str, plant: Plant, table: Evaluate) -> 
 
 
 def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -> Controller:
-    """The controller of the evaluated loop; `more` as for Controller."""
+    """The controller of the evaluated loop; `more` as in npred.Loop."""
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
-    more |= condition.wrapped(plant, table)
-    return Controller(
-        plant, predictor, delay_law.resolve(table, plant), table.dt,
-        D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=table.actuator, u0=u0, **more,
-    )  # fmt: skip
+    D_hat = None if plant.declares_delay else table.D_hat0
+    return Controller(replace(condition.described(table, plant, predictor), D_hat=D_hat, u0=u0, **more))
 
 
 def watchdog(text: str) -> Watchdog | None:

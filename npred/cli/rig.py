@@ -19,8 +19,7 @@ from npred.figures.style import MEDIA
 from npred.loop import loop_checks, metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
-from npred.loop.loop_checks import HISTORY
-from npred.loop.measurement import Measurement
+from npred.loop.loop import HISTORY
 from npred.parallel import executors
 from npred.pipeline import load_model
 from npred.plants import Plant
@@ -124,7 +123,7 @@ def _check(table: Evaluate, controller: Controller) -> None:
         raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
     if table.X0:
         loop_checks.start(plant, np.array(table.X0))
-    Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))
+    table.measurement.check(plant, observer and len(observer.outputs))
 
 
 def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
@@ -134,7 +133,8 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
         stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
         predictor = api.loaded(stored, table.nx, "cpu", None)
         predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
-    more = {"oldest": max(OLDEST * table.dt, 2 * channel.longest), "watchdog": export.watchdog(options.watchdog)}
+    age = max(OLDEST * table.dt, 2 * channel.longest)
+    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog)}
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)

@@ -1,11 +1,12 @@
 """The table [evaluate] with its scenarios and its guard."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_serializer, model_validator
 
-from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver
+from npred.config.loop import Disturbance, Loop, StateObserver
 from npred.config.section import (
     ADDED,
     Actuator,
@@ -23,6 +24,9 @@ from npred.config.section import (
     Share,
     Some,
 )
+from npred.loop.measurement import Sensors
+from npred.loop.timing import ControlClock
+from npred.safety import SafetyFilter
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
@@ -59,7 +63,7 @@ class Scenario(Section):
     actuator: Actuator | None = None  #: as actuator
     timing: ControlClock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
-    safety: StateLimits | None = None  #: as safety
+    safety: SafetyFilter | None = None  #: as safety
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
     drift: Drift | None = None  #: the true delay oscillates
@@ -131,11 +135,10 @@ class Evaluate(Loop):
             span = scenario.delays(self.D)
             if span[0] < 0:
                 raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0 s, got {span[0]:g}; shrink it")
-            table = self.under(scenario)
             try:
+                table = self.under(scenario)
                 table.reached("delay", span)
                 table.lasts("t_end", table.case_t_end)
-                table.measurement.spread()
                 table.clocked()
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
@@ -147,9 +150,9 @@ class Evaluate(Loop):
         """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
         values = {CASES.get(key, key): value for key, value in scenario if value is not None}
         update = {key: value for key, value in values.items() if key in type(self).model_fields}
-        sensors = {key: value for key, value in values.items() if key in Sensors.model_fields}
+        sensors = {key: value for key, value in values.items() if key in Sensors.__dataclass_fields__}
         update |= {
-            "measurement": self.measurement.model_copy(update=sensors),
+            "measurement": replace(self.measurement, **sensors),
             "truth": self.truth | scenario.parameters,
         }
         return self.model_copy(update=update)

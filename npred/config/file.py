@@ -6,6 +6,7 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -136,7 +137,10 @@ def _sentence(error: ValidationError) -> str:
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fields)
         return f"{place.removeprefix('.')}: {first['msg']}"
     if first["type"] == "value_error":
-        return f"{where + '.' if where else ''}{first['ctx']['error']}"
+        said = str(first["ctx"]["error"])
+        if fields and said.startswith(f"{fields[-1]}:"):  # of a dataclass, which names itself
+            where = ".".join(map(str, fields[:-1]))
+        return f"{where + '.' if where else ''}{said}"
     if first["type"] == "missing":
         example = ' as plant = "my_plant.py:Tank"' if where == "plant" else ""
         return f"{where}: expected a value, found none; add it{example}"
@@ -200,5 +204,8 @@ def leaves(
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
             yield from leaves(field.annotation, f"{path}{name}.")
+        elif is_dataclass(field.annotation):
+            for key in fields(field.annotation):
+                yield f"{path}{name}.{key.name}", FieldInfo.from_annotated_attribute(key.type, key.default)
         else:
             yield path + name, field

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks, plants, predictors
-from npred.conditions.condition import wrapped
+from npred.conditions.condition import observer
 from npred.config import FROZEN, PAPER
 from npred.delays import family_of
 from npred.diagnosis.case import SPAN, Case
@@ -15,7 +15,6 @@ from npred.diagnosis.lyapunov import DECLARE
 from npred.errors import ConfigError
 from npred.loop import clocked, delay_law, loop_checks
 from npred.loop.adaptation import undeclared
-from npred.loop.measurement import Measurement
 from npred.plants import inputs
 from npred.predictors.guarded import Guarded
 from npred.registry import NETWORKS
@@ -171,12 +170,12 @@ def parts(case: Case) -> None:
     tables = [*case.loops.values(), *(case.settings.evaluate.under(scenario) for scenario in case.scenarios)]
     for loop in tables:
         delay_law.resolve(loop, case.plant)
-        observer, safety = wrapped(case.plant, loop).values()
-        Measurement(**dict(loop.measurement)).check(case.plant, observer and len(observer.outputs))
-        if loop.timing or observer:
+        estimator = observer(loop, case.plant)
+        loop.measurement.check(case.plant, estimator and len(estimator.outputs))
+        if loop.timing or estimator:
             clocked.serves(case.plant)
-        if safety:
-            loop_checks.protected(case.plant, safety, loop.dt)
+        if loop.safety:
+            loop_checks.protected(case.plant, loop.safety, loop.dt)
         plants.varied(case.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, case.plant, loop.nx)
     if "evaluate" in case.stages and (guard := case.settings.evaluate.guard):

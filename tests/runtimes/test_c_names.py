@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator, samples
 
+import npred
 from npred.errors import NpredError
-from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import Heun
 from npred.runtimes import c_controller, c_files, c_network, fmu
@@ -49,7 +49,7 @@ def is_c(*texts):
 def check_controller(plant, state, entry, unit, prefix, model):
     try:
         named = Plant(plant, declaration(state, entry, unit))
-        controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
+        controller = npred.controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
         header, source = c_controller.sources(controller, prefix, model=model)
     except NpredError as error:
         assert len(str(error).splitlines()) == 1 and str(error).isprintable()
@@ -78,7 +78,7 @@ def check_fmu(plant, state, entry, unit, model):
         patch.setattr(c_files, "compiler", lambda: None)  # the sources alone
         try:
             named = Plant(plant, declaration(state, entry, unit))
-            controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
+            controller = npred.controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
             fmu.write(controller, Path(name) / "named.fmu", model=model)
         except NpredError as error:
             assert len(str(error).splitlines()) == 1 and str(error).isprintable()

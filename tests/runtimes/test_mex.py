@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 import npred
 from npred.cli import app
-from npred.loop.controller import Controller
 from npred.runtimes import c_controller
 
 missing = [tool for tool in ("octave-cli", "mkoctfile") if shutil.which(tool) is None]
@@ -22,12 +21,12 @@ PAGE = (HERE.parent / "docs" / "deployment.md").read_text()
 
 def guarded():
     predictor = npred.guarded(npred.predictor("euler", PLANT, 21), 2.5e-5)
-    return Controller(PLANT, predictor, npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0)), DT, D_hat=2.0)
+    return npred.controller(PLANT, predictor, npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0)), DT, D_hat=2.0)
 
 
 def turning():
     plant = npred.plant("unicycle")
-    return Controller(plant, npred.predictor("heun", plant, 21), None, DT, D_hat=0.6, actuator="history")
+    return npred.controller(plant, npred.predictor("heun", plant, 21), None, DT, D_hat=0.6, actuator="history")
 
 
 @pytest.fixture(scope="module")

@@ -107,7 +107,7 @@ def _delay(plant: Plant, config: Evaluate) -> str:
 def _reality(plant: Plant, config: Evaluate) -> Iterator[str]:
     """What of the loop is not as in the paper."""
     sensors = [
-        f"{key} {_sensor(plant, key, value)}" for key, value in dict(config.measurement).items() if np.any(value)
+        f"{key} {_sensor(plant, key, value)}" for key, value in vars(config.measurement).items() if np.any(value)
     ]
     if config.actuator == "history":
         yield "actuator state not measured"
