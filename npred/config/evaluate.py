@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_serializer, model_validator
 
-from npred.config.loop import Disturbance, Loop, StateObserver
+from npred.config.loop import Clock, Disturbance, Limits, Loop, StateObserver
 from npred.config.section import (
     ADDED,
     Actuator,
@@ -25,8 +25,6 @@ from npred.config.section import (
     Some,
 )
 from npred.loop.measurement import Sensors
-from npred.loop.timing import ControlClock
-from npred.safety import SafetyFilter
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
@@ -61,9 +59,9 @@ class Scenario(Section):
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance
     actuator: Actuator | None = None  #: as actuator
-    timing: ControlClock | None = None  #: as timing
+    timing: Clock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
-    safety: SafetyFilter | None = None  #: as safety
+    safety: Limits | None = None  #: as safety
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
     drift: Drift | None = None  #: the true delay oscillates

@@ -1,12 +1,12 @@
 """Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
 
+import dataclasses
 import json
 import os
 import re
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -174,14 +174,13 @@ def _siblings(loc: tuple[int | str, ...]) -> list[str]:
     for part in loc[:-1]:
         if isinstance(part, str):
             model = _table(model.model_fields[part].annotation) if part in model.model_fields else Network
-    return sorted(model.model_fields)
+    return sorted(getattr(model, "model_fields", None) or [field.name for field in dataclasses.fields(model)])
 
 
 def _table(kind: Any) -> Any:
     """The table that a key holds, or a list of."""
-    return next(
-        (part for part in (kind, *get_args(kind)) if isinstance(part, type) and issubclass(part, Section)), kind
-    )
+    parts = (kind, *get_args(kind))
+    return next((part for part in parts if dataclasses.is_dataclass(part) or hasattr(part, "model_fields")), kind)
 
 
 def _meant(key: str, siblings: list[str]) -> str:
@@ -204,8 +203,9 @@ def leaves(
     for name, field in model.model_fields.items():
         if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
             yield from leaves(field.annotation, f"{path}{name}.")
-        elif is_dataclass(field.annotation):
-            for key in fields(field.annotation):
-                yield f"{path}{name}.{key.name}", FieldInfo.from_annotated_attribute(key.type, key.default)
+        elif dataclasses.is_dataclass(field.annotation):
+            for key in dataclasses.fields(field.annotation):
+                kind: Any = key.type
+                yield f"{path}{name}.{key.name}", FieldInfo.from_annotated_attribute(kind, key.default)
         else:
             yield path + name, field

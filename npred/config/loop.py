@@ -19,6 +19,7 @@ from npred.config.section import (
     Positive,
     Range,
     Section,
+    built,
 )
 from npred.errors import bytes_text
 from npred.loop.measurement import Sensors
@@ -27,6 +28,8 @@ from npred.safety import SafetyFilter
 
 LONGEST_RUN = 10**9  # control steps of a loop
 STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an energy
+Clock = Annotated[ControlClock, built(ControlClock)]
+Limits = Annotated[SafetyFilter, built(SafetyFilter)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not given
 
@@ -78,13 +81,13 @@ class Loop(Section):
     actuator: Annotated[Actuator, ADDED] = "measured"
     #: parameters of the simulated plant that differ from the controller's model
     truth: Annotated[dict[str, Number], ADDED] = {}
-    measurement: Annotated[Sensors, ADDED] = Sensors()  #: the sensors
+    measurement: Annotated[Sensors, built(Sensors), ADDED] = Sensors()  #: the sensors
     #: the clock of the control loop, with actuator = "history"
-    timing: Annotated[ControlClock | None, ADDED] = None
+    timing: Annotated[Clock | None, ADDED] = None
     #: an observer of the state, with actuator = "history"
     observer: Annotated[StateObserver | None, ADDED] = None
     #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
-    safety: Annotated[SafetyFilter | None, ADDED] = None
+    safety: Annotated[Limits | None, ADDED] = None
     #: a disturbance of the input
     disturbance: Annotated[Disturbance, ADDED] = Disturbance()
 

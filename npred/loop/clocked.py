@@ -40,7 +40,7 @@ def check(loop: Loop) -> None:
     if loop.predictor is None:
         raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
     serves(loop.plant)
-    if loop.measurement is not None and loop.measurement.observer is not None:
+    if loop.measurement.observer is not None:
         raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
 
 
@@ -82,12 +82,13 @@ class Clocked:
     def loop(self, number: int, past: inputs.Past, samples: np.ndarray, delays: np.ndarray) -> tuple[Record, OnAClock]:
         """The loop of that number in the batch."""
         of, plant, m, D = self.of, self.of.plant, self.of.plant.m, self.of.D[number]
+        assert of.predictor is not None
         one = self._controller(float(of.D_hat[number]), past)
         pushes = self.pushes[..., min(number, self.pushes.shape[2] - 1)] if self.pushes.size else np.zeros(0)
         sensors = sensing.settings(of.measurement, of.dt, number, len(one.outputs))
         settings = one.settings._replace(
             every=self.every, row_count=(self.count - 1) // self.every + 1, sample_count=len(samples),
-            samples=np.ascontiguousarray(samples, dtype=np.int64), truth_p=of.truth.p,
+            samples=np.ascontiguousarray(samples, dtype=np.int64), truth_p=of.real.p,
             tabulates=int(delays.size > 0), delays=np.ascontiguousarray(delays[:, None] * plant.ratios),
             disturbed=int(pushes.size > 0), disturbance=np.ascontiguousarray(pushes), **sensors,
         )  # fmt: skip

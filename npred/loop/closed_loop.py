@@ -21,7 +21,6 @@ from npred.loop.clocked import Clocked
 from npred.loop.delay_law import DelayLaw, Part, part
 from npred.loop.engine import Engine
 from npred.loop.loop import HISTORY, Loop, LoopParts
-from npred.loop.measurement import Measurement
 from npred.loop.signals import Record, Settings, State
 from npred.loop.trajectories import Samples, Trajectories, of_record
 from npred.parallel import devices
@@ -82,7 +81,7 @@ def run(
         clocked.check(loop)
     loop_checks.times(t_end, dt, loop.measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
-    X0, truth = array_checks.floats("X0", loop.X0), loop.truth or plant
+    X0, truth = array_checks.floats("X0", loop.X0), loop.real
     blind, D = plant.declares_delay and D_hat is not None, loop.D
     if plant.declares_delay:
         loop_checks.start(plant, X0)
@@ -111,8 +110,7 @@ def run(
     method = loop_checks.integrator(loop.integrator, plant, truth)
     limits = inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
-    loop = replace(loop, D=D, D_hat=D_hat, X0=X0, adaptation=adaptation, input_bounds=limits, truth=truth,
-                   measurement=loop.measurement or Measurement())  # fmt: skip
+    loop = replace(loop, D=D, D_hat=D_hat, X0=X0, adaptation=adaptation, input_bounds=limits)
     one = _Simulation(loop, round(t_end / dt) + 1, every, method, shape, blind)
     loop_checks.history(plant, one.reach(D, D_hat, delays)[1], dt)
     with waiting.quiet() if progress is False else nullcontext():
@@ -211,7 +209,7 @@ class _Simulation:
     def compiled(self) -> bool:
         """True if all parts are kernels; else the loop calls those in Python, and needs the interpreter."""
         controller = compiled(self.loop.plant, self.loop.predictor, self.law)
-        return controller and self.loop.truth.traced and self.loop.measurement.observer is None
+        return controller and self.loop.real.traced and self.loop.measurement.observer is None
 
     def run(self, c: slice, past: inputs.Past, samples: np.ndarray, delays: np.ndarray, progress: Any) -> Record:
         """One chunk of the loops, with the inputs of t < 0, samples (B, S) and delays (steps + 1 or 0, B)."""
@@ -247,7 +245,7 @@ class _Simulation:
     def parts(self) -> dict[str, Any]:
         """The sentences of a control step, on lanes, traced once for all chunks."""
         model = ConstantDelay(self.loop.plant) if self.blind else family_of(self.loop.plant)
-        truth, law = family_of(self.loop.truth), self.law
+        truth, law = family_of(self.loop.real), self.law
         observer = self.loop.measurement.observer
         return {
             "horizon": truth.horizon(),
@@ -259,7 +257,7 @@ class _Simulation:
             "control": law.control,
             "update": law.update,
             "pace": truth.speed(),
-            "advance": engine.advance_kernel(self.loop.truth, self.integrator),
+            "advance": engine.advance_kernel(self.loop.real, self.integrator),
             **engine.protection(self.loop.safety, self.loop.predictor),
             "model": None if self.loop.measurement.perfect else engine.advance_kernel(self.loop.plant, self.integrator),
         }
@@ -277,7 +275,7 @@ class _Simulation:
             late=round(self.loop.measurement.delay / self.loop.dt) if self.loop.measurement.observer is None else 0,
             recalls=self.reads_commands,
             keeps=True,
-            moves=self.loop.truth.declares_delay,
+            moves=self.loop.real.declares_delay,
             senses=not self.loop.measurement.perfect,
             tabulates=len(delays) > 0,
             disturbed=pushes.shape[2],
@@ -285,7 +283,7 @@ class _Simulation:
             input_bounds=np.ascontiguousarray(self.loop.input_bounds, dtype=float),
             u_star=np.ascontiguousarray(plant.u_equilibrium if plant.rests else np.zeros(m), dtype=float),
             p=self.loop.plant.p,
-            truth_p=self.loop.truth.p,
+            truth_p=self.loop.real.p,
             ratios=self.loop.plant.ratios,
             law=self.law.settings,
             guard=np.zeros(0) if settings is None else settings,

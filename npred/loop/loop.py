@@ -16,6 +16,8 @@ from npred.safety import SafetyFilter
 
 MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 
+PERFECT = Measurement()
+
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
@@ -46,11 +48,16 @@ class Loop:
     history_length: float | None = None
     D: Any = None
     X0: Any = None
-    measurement: Measurement | None = None
+    measurement: Measurement = PERFECT
     truth: Plant | None = None
     disturbance: Callable[[float], Any] | None = None
     timing: Timing | None = None
     integrator: str = "rk4"
+
+    @property
+    def real(self) -> Plant:
+        """The plant that is simulated."""
+        return self.truth or self.plant
 
     @classmethod
     def of(cls, call: str, unused: tuple[str, ...], parts: dict[str, Any]) -> Self:
@@ -60,6 +67,8 @@ class Loop:
             if name not in known:
                 what = f"expected a part of the loop, one of {', '.join(known)}"
                 raise ConfigError(f"{call}: {what}, got {name!r}{similar(name, known) or '; leave it out'}")
+        if parts.get("measurement", 0) is None:
+            del parts["measurement"]
         return cls(**parts)
 
 

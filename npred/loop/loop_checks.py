@@ -66,10 +66,9 @@ def reality(loop: Loop) -> None:
         if value is None and not plant.declares_delay:
             raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
     actuator_state(loop.actuator)
-    if measurement is not None and not isinstance(measurement, Measurement):
+    if not isinstance(measurement, Measurement):
         raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
-    if measurement is not None:
-        measurement.check(plant, loop.observer and len(loop.observer.outputs))
+    measurement.check(plant, loop.observer and len(loop.observer.outputs))
     if loop.disturbance is not None and not callable(loop.disturbance):
         raise ConfigError(f"disturbance: expected a function of t, got {loop.disturbance!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):

@@ -8,7 +8,7 @@ the state: they depend neither on the batch nor on the order of evaluation.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -33,8 +33,6 @@ class Sensors:
 
     Raises ConfigError for a value out of range.
     """
-
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}  # as a table of a pipeline file
 
     noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
     absolute: PerState = field(default=0.0, kw_only=True)  #: the same, in units of the state

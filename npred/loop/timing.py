@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,6 @@ class ControlClock:
 
     Raises ConfigError for a value out of range.
     """
-
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}  # as a table of a pipeline file
 
     jitter: float = 0.0  #: largest deviation of a call from its time, in control steps
     lost: float = 0.0  #: probability that a command is lost; the actuator keeps the last one

@@ -9,8 +9,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from npred import randomness
-from npred.config import Evaluate, Sensors
+from npred.config import Evaluate
 from npred.loop.engine import advance_kernel
+from npred.loop.measurement import Sensors
 from npred.observers import Observer
 from npred.plants import Plant
 from npred.predictors import RK4

@@ -9,7 +9,7 @@ bounds, with ψ' + α ψ >= margin.
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +36,6 @@ class SafetyFilter:
 
     Raises ConfigError for numbers that make no sense.
     """
-
-    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}  # as a table of a pipeline file
 
     alpha: float = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1 / time; at most 1 / dt
     margin: float = 0.0  #: added to that condition, in units of h / time^r if U moves the derivative r of h first
