@@ -246,7 +246,7 @@ def cost_to_go(plant: Plant) -> np.ndarray:
 def by_law(task: Task, predictor: npred.Predictor, delay: float, bounds: Any, alpha: float | None = None) -> Step:
     plant = predictor.plant
     controller = npred.controller(
-        plant, predictor, None, dt=DT, D_hat=delay, actuator="history", input_bounds=bounds, longest=2 * task.D,
+        plant, predictor, None, dt=DT, D_hat=delay, actuator="history", input_bounds=bounds, history_length=2 * task.D,
         u0=plant.u_target(0.0), safety=npred.SafetyFilter(alpha) if alpha else None,
     )  # fmt: skip
     return controller.step

@@ -368,7 +368,9 @@ def controllers() -> dict[str, tuple[Callable[[], Controller], str]]:
     def history(name: str | type, law=None, D_hat=0.3, nx=31, method="heun", **more) -> Controller:
         plant = npred.plants.Plant("rail", Rail) if name is Rail else npred.plant(name)
         D = None if plant.declares_delay else D_hat
-        return Controller(plant, npred.predictor(method, plant, nx), law, 0.01, D_hat=D, actuator="history", **more)
+        return npred.controller(
+            plant, npred.predictor(method, plant, nx), law, 0.01, D_hat=D, actuator="history", **more
+        )
 
     paper, chemostat = map(npred.plant, ("activator_repressor", "chemostat"))
     heun, euler = npred.predictor("heun", paper, 21), npred.predictor("euler", paper, 21)
@@ -379,10 +381,10 @@ def controllers() -> dict[str, tuple[Callable[[], Controller], str]]:
         "plain": (lambda: history("scalar"), "double"),
         "rk4": (lambda: history("cart_pole", method="rk4"), "double"),
         "float": (lambda: history("van_der_pol", method="rk4"), "float"),
-        "law": (lambda: Controller(paper, heun, adapting, 0.01, D_hat=2.0), "double"),
+        "law": (lambda: npred.controller(paper, heun, adapting, 0.01, D_hat=2.0), "double"),
         "L1": (lambda: history("activator_repressor", npred.L1Adaptation(0.01, bounds=(0.1, 0.5)), 0.2), "double"),
         "observer of the delay": (lambda: history("van_der_pol", **observed), "double"),
-        "guard": (lambda: Controller(
+        "guard": (lambda: npred.controller(
             paper, npred.guarded(euler, 1e-5), None, 0.01, D_hat=0.2, actuator="history"), "double"),
         "two inputs, watchdog": (lambda: history(
             "unicycle", D_hat=0.2, watchdog=npred.Watchdog(0.065, [0.2, -0.1], jump=[0.03, np.inf])), "double"),

@@ -13,16 +13,18 @@ if TYPE_CHECKING:
     from npred import laws as laws
     from npred import observers as observers
     from npred import plants as plants
-    from npred.api import controller, guarded, load, plant, predictor
+    from npred.api import guarded, load, plant, predictor
     from npred.diagnosis.delay_margin import delay_margin
     from npred.exports import export
     from npred.identification.identify import identify
     from npred.loop.adaptation import DelayAdaptation
     from npred.loop.closed_loop import simulate
+    from npred.loop.controller import controller
     from npred.loop.delay_law import DelayLaw
     from npred.loop.delay_observer import DelayObserver
     from npred.loop.iosystem import as_iosystem
     from npred.loop.l1_adaptation import L1Adaptation
+    from npred.loop.loop import Loop
     from npred.loop.measurement import Measurement
     from npred.loop.timing import Timing
     from npred.loop.watchdog import Watchdog
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
 __version__ = "1.0.0"
 __all__ = [
-    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor", "SafetyFilter",
+    "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Loop", "Measurement", "Predictor", "SafetyFilter",
     "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "export", "generate",
     "guarded", "identify", "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
@@ -43,6 +45,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "DelayLaw": "loop.delay_law",
     "DelayObserver": "loop.delay_observer",
     "L1Adaptation": "loop.l1_adaptation",
+    "Loop": "loop.loop",
     "Measurement": "loop.measurement",
     "Predictor": "predictors",
     "SafetyFilter": "safety",
@@ -50,6 +53,7 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
     "compare": "stages.bench.comparison",
+    "controller": "loop.controller",
     "delay_margin": "diagnosis.delay_margin",
     "export": "exports",
     "identify": "identification.identify",

@@ -1,20 +1,16 @@
 """The public functions of Python and notebooks: plants, predictors, trained models and the controller, by name."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from npred import plants, progress
 from npred.errors import ConfigError
-from npred.loop.controller import Controller
-from npred.loop.delay_law import DelayLaw
-from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import Plant
 from npred.plants.base import require
 from npred.predictors import Predictor, numerical
-from npred.safety import SafetyFilter
 
 if TYPE_CHECKING:
     from npred.pipeline.models import Stored
@@ -81,21 +77,3 @@ def guarded(
     from npred.predictors.guarded import Guarded
 
     return Guarded(model, tolerance, by, exact=exact)
-
-
-def controller(
-    plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
-    D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
-    longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
-    watchdog: Watchdog | None = None, safety: SafetyFilter | None = None,
-) -> Controller:  # fmt: skip
-    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
-    `actuator="history"`, where u is not measured.
-
-    Raises ConfigError for parts that do not fit together.
-    """
-    return Controller(
-        plant, predictor, adaptation, dt, D_hat=D_hat, input_bounds=input_bounds, actuator=actuator, u0=u0,
-        longest=longest, gate=gate, oldest=oldest, observer=observer, watchdog=watchdog,
-        safety=safety,
-    )  # fmt: skip

@@ -26,7 +26,7 @@ class NpredError(Exception):
         return [*map(str.rstrip, traceback.format_list(frames)), f"{type(self).__name__}: {self}"]
 
 
-class ConfigError(NpredError):
+class ConfigError(NpredError, ValueError):
     """Usage or configuration: an unknown key, a wrong type, a value out of range, a plant file that does not load."""
 
     exit_code = 2

@@ -17,8 +17,7 @@ from npred.figures.style import MEDIA
 from npred.loop import loop_checks, metrics
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
-from npred.loop.loop_checks import HISTORY
-from npred.loop.measurement import Measurement
+from npred.loop.loop import HISTORY
 from npred.parallel import executors
 from npred.pipeline import load_model
 from npred.plants import Plant
@@ -117,7 +116,8 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
         stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
         predictor = api.loaded(stored, table.nx, "cpu", None)
         predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
-    more = {"oldest": max(OLDEST * table.dt, 2 * channel.longest), "watchdog": export.watchdog(options.watchdog)}
+    age = max(OLDEST * table.dt, 2 * channel.longest)
+    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog)}
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)
@@ -128,5 +128,5 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     if table.X0:
         loop_checks.start(plant, np.array(table.X0))
     observer = controller.observer
-    Measurement(**dict(table.measurement)).check(plant, observer and len(observer.outputs))
+    table.measurement.check(plant, observer and len(observer.outputs))
     return controller

@@ -25,7 +25,7 @@ def controller(name, kind, watched=True, nx=21, **named):
         named["observer"] = OBSERVERS[kind](plant, outputs=outputs, offset=offset)
     return npred.controller(
         plant, npred.predictor("heun", plant, nx=nx), named.pop("adaptation", None), DT, D_hat=D, actuator="history",
-        u0="equilibrium", oldest=0.1,
+        u0="equilibrium", max_sample_age=0.1,
         watchdog=npred.Watchdog(after=0.5, then="hold") if watched else None, **named,
     )  # fmt: skip
 

@@ -9,6 +9,7 @@ import pytest
 
 from npred import config
 from npred.errors import ConfigError
+from npred.loop.measurement import Sensors
 from npred.stages.report import toml_text
 
 PIPELINES = sorted((Path(__file__).parent.parent / "pipeline").glob("*.toml"))
@@ -244,9 +245,9 @@ def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
     path.write_text(SCENARIOS)
     evaluate = config.load(path).evaluate
     noise, errors, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
-    assert noise.measurement == config.Sensors(noise=0.03, period=0.05)
+    assert noise.measurement == Sensors(noise=0.03, period=0.05)
     sensors = {"noise": 0.01, "period": 0.05, "absolute": 0.1, "bias": [-0.2], "resolution": [0.5]}
-    assert errors.measurement == config.Sensors(**sensors)
+    assert errors.measurement == Sensors(**sensors)
     assert noise == evaluate.model_copy(update={"measurement": noise.measurement})
     assert (drift.adaptation, drift.case_D_hat0, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
     assert drift.measurement == evaluate.measurement
@@ -273,17 +274,17 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
         ('evaluate.scenarios=[{name="a", t_end=1e-3}]', ["scenarios[0]: dt: expected at most t_end = 0.001"]),
         ('evaluate.scenarios=[{name="a", t_end=1e9}]', ["scenarios[0]: t_end: expected at most 1000000000 steps"]),
         ("evaluate.case_t_end=1e9", ["case_t_end: expected at most 1000000000 steps", "shorten case_t_end"]),
-        ("evaluate.measurement.jitter=0.1", ["jitter: expected a period that it spreads, got none; give period"]),
-        ('evaluate.scenarios=[{name="a", jitter=0.1}]', ["scenarios[0]: jitter: expected a period"]),
+        ("evaluate.measurement.jitter=0.1", ["measurement: expected a period that jitter spreads, got none; give"]),
+        ('evaluate.scenarios=[{name="a", jitter=0.1}]', ["scenarios[0]: measurement: expected a period"]),
         ('evaluate.scenarios=[{name="a", D_hat0=[9.0]}]', ["scenarios[0].D_hat0: expected within bounds"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1, period=9.0}, jump={to=1.1, at=1.0}}]',
          ["drift, jump: expected one of them, got both"]),
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
         ("generate.actuator=guessed", ["generate.actuator: Input should be 'measured' or 'history', got 'guessed'"]),
-        ("generate.measurement.noise=-0.1", ["generate.measurement.noise: ", "greater than or equal to 0", "got -0.1"]),
-        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement.absolute: ", "than or equal to 0"]),
-        ("generate.measurement.bias=[nan]", ["generate.measurement.bias: ", "finite number"]),
-        ("generate.measurement.drop=1.0", ["generate.measurement.drop: Input should be less than 1, got 1.0"]),
+        ("generate.measurement.noise=-0.1", ["generate.measurement: expected noise of at least 0, got -0.1; give"]),
+        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement: expected absolute of at least 0"]),
+        ("generate.measurement.bias=[nan]", ["generate.measurement: bias: expected finite numbers, got nan"]),
+        ("generate.measurement.drop=1.0", ["generate.measurement: expected drop from 0 up to 1, not included, got 1"]),
         ("evaluate.timing.jitter=0.1", ['timing: expected actuator = "history", got \'measured\'']),
         ("evaluate.observer.kind=kalman", ["evaluate.observer.kind: expected ekf, luenberger, or a class of a file"]),
         ('evaluate.scenarios=[{name="a", timing={lost=0.1}}]', ["scenarios[0]: timing: expected actuator"]),

@@ -1,5 +1,6 @@
 """`npred export`: the controller of a pipeline's evaluated loop, or a trained model, for another program."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,9 @@ from npred.config import Evaluate
 from npred.data import shards
 from npred.errors import ConfigError
 from npred.exports import FORMATS, TrainedNetwork, WholeController
-from npred.loop import delay_law
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import Controller
-from npred.loop.loop_checks import HISTORY
+from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
 from npred.pipeline import load_model
 from npred.plants import Plant, inputs
@@ -88,7 +88,7 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     else:
         predictor = numerical(options.predictor, plant, nx)
     predictor = Guarded(predictor, exact=exact, **guard) if guard else predictor
-    controller = of_table(plant, predictor, table, oldest=options.oldest, watchdog=watchdog(options.watchdog))
+    controller = of_table(plant, predictor, table, max_sample_age=options.oldest, watchdog=watchdog(options.watchdog))
     if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(RECALLS)
     about = f"{pipeline.name}:{predictor.name}"
@@ -96,16 +96,12 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
 
 
 def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -> Controller:
-    """The controller of the evaluated loop; `more` as for Controller."""
+    """The controller of the evaluated loop; `more` as in npred.Loop."""
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
-    more |= condition.observer_and_filter(plant, table)
-    return Controller(
-        plant, predictor, delay_law.resolve(table, plant), table.dt,
-        D_hat=None if plant.declares_delay else table.D_hat0, input_bounds=table.input_bounds,
-        actuator=table.actuator, u0=u0, **more,
-    )  # fmt: skip
+    D_hat = None if plant.declares_delay else table.D_hat0
+    return Controller(replace(condition.described(table, plant, predictor), D_hat=D_hat, u0=u0, **more))
 
 
 def watchdog(text: str) -> Watchdog | None:

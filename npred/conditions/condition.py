@@ -8,16 +8,17 @@ from typing import Any, Self
 import numpy as np
 
 from npred import plants
-from npred.config import Disturbance, Loop
+from npred.config import Disturbance
+from npred.config import Loop as LoopTable
 from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories
+from npred.loop.loop import Loop
 from npred.loop.measurement import Measurement, Observer
 from npred.loop.timing import Timing
 from npred.observers import Observer as StateObserver
 from npred.plants.base import Plant
 from npred.predictors import Predictor
 from npred.registry import OBSERVERS
-from npred.safety import SafetyFilter
 
 EVERY = 10  # control steps between two kept states, where nothing asks for more
 
@@ -32,7 +33,7 @@ class Condition:
     the table's, and an `observer` of the sensors (npred.Measurement).
     """
 
-    table: Loop
+    table: LoopTable
     X0: Any
     D: Any
     D_hat: Any
@@ -56,35 +57,39 @@ class Condition:
 
     def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
         """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
-        table, delays = self.table, {} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}
-        sensors = dict(table.measurement) | {"seed": self.seed, "first": self.first, "observer": self.observer}
-        return closed_loop.simulate(
-            plant, predictor, X0=self.X0, t_end=self.t_end, dt=table.dt, input_bounds=table.input_bounds, u0=table.u0,
-            actuator=table.actuator, adaptation=delay_law.resolve(table, plant) if self.adapts else None,
-            truth=truth(plant, table), disturbance=self.disturbance or _push(table.disturbance),
-            measurement=Measurement(**sensors), timing=table.timing and Timing(**dict(table.timing), seed=self.seed),
-            **observer_and_filter(plant, table), **delays, **recorded,
+        table, noise = self.table, {"seed": self.seed, "first": self.first, "observer": self.observer}
+        loop = replace(
+            described(table, plant, predictor), X0=self.X0, disturbance=self.disturbance or _push(table.disturbance),
+            measurement=Measurement(**vars(table.measurement), **noise),
+            timing=table.timing and Timing(**vars(table.timing), seed=self.seed), truth=truth(plant, table),
+            **({} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}),
         )  # fmt: skip
+        return closed_loop.run(loop if self.adapts else replace(loop, adaptation=None), self.t_end, **recorded)
 
 
-def compiled(plant: Plant, predictor: Predictor, table: Loop) -> bool:
+def compiled(plant: Plant, predictor: Predictor, table: LoopTable) -> bool:
     """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
     law = delay_law.part(plant, delay_law.resolve(table, plant), table.dt)
     return closed_loop.compiled(plant, predictor, law)
 
 
-def observer_and_filter(plant: Plant, table: Loop) -> dict[str, Any]:
-    """The observer of the state and the safety filter of a table, each or None: as npred.simulate and npred.controller
-    take them. Raises ConfigError for one that does not fit.
-    """
-    observer: StateObserver | None = None
-    if table.observer:
-        kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
-        observer = kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
-    return {"observer": observer, "safety": table.safety and SafetyFilter(**dict(table.safety))}
+def described(table: LoopTable, plant: Plant, predictor: Predictor) -> Loop:
+    """The controller of a table, with u0 as it stands. Raises ConfigError for a part that does not fit."""
+    return Loop(
+        plant=plant, predictor=predictor, dt=table.dt, adaptation=delay_law.resolve(table, plant), u0=table.u0,
+        input_bounds=table.input_bounds, actuator=table.actuator, observer=observer(table, plant), safety=table.safety,
+    )  # fmt: skip
 
 
-def truth(plant: Plant, table: Loop) -> Plant | None:
+def observer(table: LoopTable, plant: Plant) -> StateObserver | None:
+    """The observer of the state that a table asks for. Raises ConfigError for one that does not fit."""
+    if table.observer is None:
+        return None
+    kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
+    return kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
+
+
+def truth(plant: Plant, table: LoopTable) -> Plant | None:
     """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
     return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
 

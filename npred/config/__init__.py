@@ -2,15 +2,15 @@
 
 from npred.config.evaluate import Evaluate, GuardTable, Scenario
 from npred.config.file import load, override, parse, put, table, value
-from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver, within
+from npred.config.loop import Disturbance, Loop, StateObserver, within
 from npred.config.pipeline import Bench, Generate, Pipeline
 from npred.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.config.train import FNO, DeepONet, Network, Train, Training
 from npred.config.tune import Tune
 
 __all__ = [
-    "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "ControlClock", "DeepONet", "Disturbance", "Evaluate", "Generate",
-    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "Sensors", "StateLimits",
-    "StateObserver", "Train", "Training", "Tune", "load", "override", "parse", "put", "table", "value",
+    "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "DeepONet", "Disturbance", "Evaluate", "Generate",
+    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "StateObserver",
+    "Train", "Training", "Tune", "load", "override", "parse", "put", "table", "value",
     "within",
 ]  # fmt: skip

@@ -1,10 +1,11 @@
 """The table [evaluate] with its scenarios and its guard."""
 
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from npred.config.loop import ControlClock, Disturbance, Loop, Sensors, StateLimits, StateObserver
+from npred.config.loop import Clock, Disturbance, Limits, Loop, StateObserver
 from npred.config.section import (
     Actuator,
     Bias,
@@ -21,6 +22,7 @@ from npred.config.section import (
     Share,
     Some,
 )
+from npred.loop.measurement import Sensors
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
@@ -55,9 +57,9 @@ class Scenario(Section):
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance
     actuator: Actuator | None = None  #: as actuator
-    timing: ControlClock | None = None  #: as timing
+    timing: Clock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer
-    safety: StateLimits | None = None  #: as safety
+    safety: Limits | None = None  #: as safety
     adaptation: Law | None = None  #: as adaptation
     D_hat0: Some[Positive] | None = None  #: as case_D_hat0
     drift: Drift | None = None  #: the true delay oscillates
@@ -124,11 +126,10 @@ class Evaluate(Loop):
             span = scenario.delays(self.D)
             if span[0] < 0:
                 raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0 s, got {span[0]:g}; shrink it")
-            table = self.under(scenario)
             try:
+                table = self.under(scenario)
                 table.reached("delay", span)
                 table.lasts("t_end", table.case_t_end)
-                table.measurement.spread()
                 table.clocked()
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
@@ -140,9 +141,9 @@ class Evaluate(Loop):
         """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
         values = {CASES.get(key, key): value for key, value in scenario if value is not None}
         update = {key: value for key, value in values.items() if key in type(self).model_fields}
-        sensors = {key: value for key, value in values.items() if key in Sensors.model_fields}
+        sensors = {key: value for key, value in values.items() if key in Sensors.__dataclass_fields__}
         update |= {
-            "measurement": self.measurement.model_copy(update=sensors),
+            "measurement": replace(self.measurement, **sensors),
             "truth": self.truth | scenario.parameters,
         }
         return self.model_copy(update=update)

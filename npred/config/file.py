@@ -5,6 +5,7 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args
 
@@ -114,8 +115,10 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
     if first["type"] in ("fault", "missing"):
         return f"{where}: {first['msg']}"
-    if first["type"] == "value_error":  # which begins with a key
-        return f"{where + '.' if where else ''}{first['ctx']['error']}"
+    if first["type"] == "value_error":  # which begins with a key; a dataclass names itself
+        said = str(first["ctx"]["error"])
+        above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
+        return f"{above + '.' if above else ''}{said}"
     said = dict.fromkeys(each["msg"] for each in error.errors() if each["loc"][: len(path)] == tuple(path))
     expected, came = " or ".join(said).replace(" or Input should be", " or"), first["input"]
     near = similar(str(came), re.findall(r"'(.*?)'", expected))
@@ -127,7 +130,10 @@ def _leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
     for name, field in model.model_fields.items():
         kinds = (field.annotation, *get_args(field.annotation))  # a table, one that may be absent, or a list of tables
         table = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), None)
+        library = next((kind for kind in kinds if is_dataclass(kind)), None)
         if table:
             yield from _leaves(table, f"{path}{name}.")
+        elif library:
+            yield from (f"{path}{name}.{key.name}" for key in fields(library))
         else:
             yield path + name

@@ -1,7 +1,7 @@
 """The settings of closed loops, which the tables of several stages share."""
 
 import math
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
@@ -9,71 +9,28 @@ from npred.config.section import (
     FROZEN,
     PAPER,
     Actuator,
-    Bias,
     Bounds,
-    Delay,
-    Half,
     Law,
     Method,
     Nodes,
     Number,
     Observes,
-    PerState,
     Positive,
     Range,
     Section,
-    Share,
+    built,
 )
 from npred.errors import bytes_text
+from npred.loop.measurement import Sensors
+from npred.loop.timing import ControlClock
+from npred.safety import SafetyFilter
 
 LONGEST_RUN = 10**9  # control steps of a loop
 STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an energy
+Clock = Annotated[ControlClock, built(ControlClock)]
+Limits = Annotated[SafetyFilter, built(SafetyFilter)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not given
-
-
-class Sensors(Section):
-    """The samples that the controller gets: q(X (1 + noise ξ) + absolute η + bias), and when they arrive.
-
-    ξ and η are standard normal; q rounds to multiples of the resolution. Each is one number, or a list with one number
-    for each state. Between samples the controller predicts the state from the last one and its commands.
-    """
-
-    noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
-    absolute: PerState = 0.0  #: the same, in units of the state
-    bias: Bias = 0.0  #: of each sample, in units of the state
-    resolution: PerState = 0.0  #: step of the sensor, in units of the state; 0 for none
-    period: Positive | None = None  #: between samples, in seconds; by default the control step
-    jitter: Share = 0.0  #: largest deviation of a period, relative to it
-    delay: Delay = 0.0  #: from a sample to its arrival, in seconds
-    drop: Share = 0.0  #: probability that a sample never arrives
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        self.spread()
-        return self
-
-    def spread(self) -> None:
-        """Raise ValueError for a jitter without the period that it spreads."""
-        if self.jitter and self.period is None:
-            raise ValueError("jitter: expected a period that it spreads, got none; give period")
-
-
-class ControlClock(Section):
-    """The clock of the control loop: call k comes at k dt + jitter dt r, with r uniform on [-1, 1]."""
-
-    jitter: Half = 0.0  #: largest deviation of a call from its time, in control steps
-    lost: Share = 0.0  #: probability that a command is lost; the actuator keeps the last one
-    overrun: Share = 0.0  #: probability that a call is skipped
-    tells: bool = False  #: whether the next call reports a lost command to the controller
-    stop: Delay = 0.0  #: samples of the last `stop` seconds are lost …
-    stop_every: Positive | None = None  #: … of each period of this length, in seconds
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if (self.stop_every is None) != (self.stop == 0.0) or self.stop >= (self.stop_every or math.inf):
-            raise ValueError("stop, stop_every: expected 0 < stop < stop_every, or neither; give two times")
-        return self
 
 
 class StateObserver(Section):
@@ -82,14 +39,6 @@ class StateObserver(Section):
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
     outputs: list[str] | None = None  #: the measured states; by default the plant's outputs
     offset: bool = False  #: whether it also estimates an offset of each input
-
-
-class StateLimits(Section):
-    """A filter of U that keeps the limits which the plant declares by safe(x, t, p, M): npred.SafetyFilter."""
-
-    alpha: Positive = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1/s; at most 1 / dt
-    margin: Delay = 0.0  #: added to that condition, in units of h / s^r if U moves the derivative r of h first
-    delay: Delay = 0.0  #: how wrong D_hat may be, in seconds; above 0 with actuator = "history"
 
 
 class Disturbance(Section):
@@ -131,13 +80,13 @@ class Loop(Section):
     actuator: Actuator = "measured"
     #: parameters of the simulated plant that differ from the controller's model
     truth: dict[str, Number] = {}
-    measurement: Sensors = Sensors()  #: the sensors
+    measurement: Annotated[Sensors, built(Sensors)] = Sensors()  #: the sensors
     #: the clock of the control loop, with actuator = "history"
-    timing: ControlClock | None = None
+    timing: Clock | None = None
     #: an observer of the state, with actuator = "history"
     observer: StateObserver | None = None
     #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
-    safety: StateLimits | None = None
+    safety: Limits | None = None
     #: a disturbance of the input
     disturbance: Disturbance = Disturbance()
 

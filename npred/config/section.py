@@ -1,10 +1,11 @@
 """A table of the pipeline file, and the types of its keys."""
 
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from npred import registry
@@ -51,6 +52,19 @@ Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELIN
 Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
+
+
+def built(kind: type) -> BeforeValidator:
+    """A validator that makes a dataclass of the library from a table; it checks its values itself."""
+
+    def build(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        for key in value.keys() - {field.name for field in fields(kind)}:
+            raise PydanticCustomError("extra_forbidden", "{key}", {"key": key})
+        return kind(**value)
+
+    return BeforeValidator(build)
 
 
 class Section(BaseModel):

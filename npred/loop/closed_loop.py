@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,17 +20,14 @@ from npred.loop.actuator import history
 from npred.loop.clocked import Clocked
 from npred.loop.delay_law import DelayLaw, Part, part
 from npred.loop.engine import Engine
-from npred.loop.measurement import Measurement
+from npred.loop.loop import HISTORY, Loop, LoopParts
 from npred.loop.signals import Record, Settings, State
-from npred.loop.timing import Timing
 from npred.loop.trajectories import Samples, Trajectories, of_record
-from npred.loop.watchdog import Watchdog
 from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, OneStep, Predictor
 from npred.progress import announce, counted, quiet
-from npred.safety import SafetyFilter
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 
@@ -40,31 +37,14 @@ FIRST, BLOCK = 10, 500  # control steps before the first report of progress, and
 
 
 def simulate(
-    plant: Plant,
-    predictor: Predictor | None,
-    *,
-    D: Any = None,
-    D_hat: Any = None,
-    X0: Any,
-    t_end: float,
-    dt: float = 0.005,
-    adaptation: DelayLaw | None = None,
-    input_bounds: Any = None,
-    u0: Any = None,
-    every: int = 1,
-    samples: ArrayLike | None = None,
-    actuator: str = loop_checks.MEASURED,
-    measurement: Measurement | None = None,
-    truth: Plant | None = None,
-    disturbance: Callable[[float], Any] | None = None,
-    safety: SafetyFilter | None = None,
-    integrator: str = "rk4",
-    progress: Callable[[int], Any] | bool | None = None,
-    timing: Timing | None = None,
-    observer: Any = None,
-    watchdog: Watchdog | None = None,
-) -> Trajectories:
+    plant: Plant, predictor: Predictor | None, *, X0: Any, t_end: float, D: Any = None, D_hat: Any = None,
+    dt: float = 0.005, adaptation: DelayLaw | None = None, every: int = 1, samples: ArrayLike | None = None,
+    progress: Callable[[int], Any] | bool | None = None, **parts: Unpack[LoopParts],
+) -> Trajectories:  # fmt: skip
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
+
+    `parts` are the other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety,
+    integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
 
     D, D_hat and X0 broadcast to the batch. Where inputs have several delays input j comes after r_j D, and U_j =
     kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. If a loop overflows, the rest of it is
@@ -78,22 +58,33 @@ def simulate(
     actuator="history" is called at its own times, and samples and commands have theirs, not rounded to control steps. X
     is that of k dt all the same; `clock` has what the controller says besides (npred.loop.trajectories.OnAClock).
 
-    Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit.
+    Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
     """
-    loop_checks.parts(plant, predictor, adaptation, every)
-    if safety is not None:
-        loop_checks.protected(plant, safety, dt)
-    loop_checks.reality(plant, adaptation, D, D_hat, actuator, measurement, truth, disturbance, observer)
-    on_a_clock = any(part is not None for part in (timing, observer, watchdog))
+    named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
+    loop = Loop.of("simulate", ("history_length",), named | {"adaptation": adaptation, **parts})
+    return run(loop, t_end, every, samples, progress)
+
+
+def run(
+    loop: Loop, t_end: float, every: int = 1, samples: ArrayLike | None = None,
+    progress: Callable[[int], Any] | bool | None = None,
+) -> Trajectories:  # fmt: skip
+    """Simulate a loop over t_end; see `simulate`."""
+    plant, dt, D_hat, adaptation = loop.plant, loop.dt, loop.D_hat, loop.adaptation
+    loop_checks.parts(plant, loop.predictor, adaptation, every)
+    if loop.safety is not None:
+        loop_checks.protected(plant, loop.safety, dt)
+    loop_checks.reality(loop)
+    on_a_clock = any(part is not None for part in (loop.timing, loop.observer, loop.watchdog))
     if on_a_clock:
-        clocked.check(plant, predictor, actuator, measurement, timing, observer)
-    loop_checks.times(t_end, dt, measurement)
+        clocked.check(loop)
+    loop_checks.times(t_end, dt, loop.measurement)
     loop_checks.record(plant, 1, t_end, dt, every)
-    X0 = array_checks.floats("X0", X0)
-    blind = plant.declares_delay and D_hat is not None
+    X0, truth = array_checks.floats("X0", loop.X0), loop.real
+    blind, D = plant.declares_delay and D_hat is not None, loop.D
     if plant.declares_delay:
         loop_checks.start(plant, X0)
-        D, D_hat = _declared(truth or plant, X0), D_hat if blind else _declared(plant, X0)
+        D, D_hat = _declared(truth, X0), D_hat if blind else _declared(plant, X0)
     table = _tabulated(D, t_end, dt) if callable(D) else None
     D, D_hat = (array_checks.floats(name, a) for name, a in (("D", D if table is None else table[0]), ("D_hat", D_hat)))
     loop_checks.start(plant, X0)
@@ -115,29 +106,27 @@ def simulate(
         delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
     loop_checks.record(plant, len(D), t_end, dt, every)
     sample_steps = loop_checks.samples(samples, shape, round(t_end / dt))
-    limits, method = inputs.bounds(plant, input_bounds), loop_checks.integrator(integrator, plant, truth or plant)
-    past = inputs.past(plant, u0, limits, X0, D)
-    loop = _Simulation(
-        plant, predictor, adaptation, limits, dt, t_end, every, method, actuator == loop_checks.HISTORY,
-        measurement or Measurement(), truth or plant, disturbance, shape, safety, blind,
-    )  # fmt: skip
-    loop_checks.history(plant, loop.reach(D, D_hat, delays)[1], dt)
-    width = LANES if loop.compiled else NEURAL_LANES
-    chunks = [slice(i, i + width) for i in range(0, len(D), width)]
-    ends, clock = adaptation.ends(dt) if adaptation and predictor else None, None
+    method = loop_checks.integrator(loop.integrator, plant, truth)
+    limits = inputs.bounds(plant, loop.input_bounds)
+    past = inputs.past(plant, loop.u0, limits, X0, D)
+    loop = replace(loop, D=D, D_hat=D_hat, X0=X0, adaptation=adaptation, input_bounds=limits)
+    one = _Simulation(loop, round(t_end / dt) + 1, every, method, shape, blind)
+    loop_checks.history(plant, one.reach(D, D_hat, delays)[1], dt)
     with quiet() if progress is False else nullcontext():
-        engine.prepare(loop.parts)
-    with _counted(progress, len(D), round(t_end / dt) + 1) as count:
+        engine.prepare(one.parts)
+    clock = None
+    with _counted(progress, len(D), one.count) as count:
         if on_a_clock:
-            one = loop.clocked(timing or Timing(), observer, watchdog)
-            joined, clock = one.run(X0, D, D_hat, past, sample_steps, delays, loop.compiled, count)
+            joined, clock = Clocked(loop, one.count, every, one.parts["advance"], one.pushes).run(
+                past, sample_steps, delays, one.compiled, count
+            )
         else:
-            records = [
-                loop.run(X0[c], D[c], D_hat[c], past.of(c), sample_steps[c], delays[:, c], c.start, count)
-                for c in chunks
-            ]
+            width = LANES if one.compiled else NEURAL_LANES
+            chunks = [slice(i, min(i + width, len(D))) for i in range(0, len(D), width)]
+            records = [one.run(c, past.of(c), sample_steps[c], delays[:, c], count) for c in chunks]
             joined = Record(*(np.concatenate(parts, axis=-1) for parts in zip(*records, strict=True)))
-    return of_record(joined, shape, dt * every, round(t_end / dt) + 1, plant, truth or plant, predictor, ends, clock)
+    ends = adaptation.ends(dt) if adaptation and loop.predictor else None
+    return of_record(joined, shape, dt * every, one.count, plant, truth, loop.predictor, ends, clock)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:
@@ -183,155 +172,137 @@ def compiled(plant: Plant, predictor: Predictor | None, law: Part) -> bool:
 
 @dataclass(frozen=True)
 class _Simulation:
-    """The parts that all chunks of one simulation share."""
+    """The parts that all chunks of one simulation share; `loop` has nothing left to be filled in."""
 
-    plant: Plant
-    predictor: Predictor | None
-    adaptation: DelayLaw | None
-    input_bounds: np.ndarray
-    dt: float
-    t_end: float
+    loop: Loop
+    count: int  # control steps, that at t = 0 included
     every: int
     integrator: type[OneStep]
-    recalls: bool
-    measurement: Measurement
-    truth: Plant
-    disturbance: Callable[[float], Any] | None
     shape: tuple[int, ...]  # of the batch
-    safety: SafetyFilter | None
     blind: bool  # whether the controller of a plant that declares its delay is as if there was none
 
     @cached_property
     def law(self) -> Part:
         """The kernels of U and of D_hat's rate; the open loop has U = 0."""
-        if self.predictor is None:
-            return part(self.plant, None, self.dt)._replace(control=None)
-        law = part(self.plant, self.adaptation, self.dt)
-        return law._replace(control=ConstantDelay(self.plant).control(RK4.step)) if self.blind else law
+        if self.loop.predictor is None:
+            return part(self.loop.plant, None, self.loop.dt)._replace(control=None)
+        law = part(self.loop.plant, self.loop.adaptation, self.loop.dt)
+        return law._replace(control=ConstantDelay(self.loop.plant).control(RK4.step)) if self.blind else law
 
     @cached_property
     def pushes(self) -> np.ndarray:
         """The disturbance in the middle of each control step, (steps, m, 1 or B), or (0, m, 0) without one."""
-        m, count = self.plant.m, round(self.t_end / self.dt) + 1
-        if self.disturbance is None:
+        m = self.loop.plant.m
+        if self.loop.disturbance is None:
             return np.zeros((0, m, 0))
-        values = [loop_checks.push(self.disturbance((k + 0.5) * self.dt), m, self.shape) for k in range(count)]
+        times = (np.arange(self.count) + 0.5) * self.loop.dt
+        values = [loop_checks.push(self.loop.disturbance(t), m, self.shape) for t in times.tolist()]
         return np.moveaxis(np.stack(np.broadcast_arrays(*values)), 1, 2)
+
+    @property
+    def reads_commands(self) -> bool:
+        """True if the controller reads u from its own commands."""
+        return self.loop.actuator == HISTORY
 
     @property
     def compiled(self) -> bool:
         """True if all parts are kernels; else the loop calls those in Python, and needs the interpreter."""
-        controller = compiled(self.plant, self.predictor, self.law)
-        return controller and self.truth.traced and self.measurement.observer is None
+        controller = compiled(self.loop.plant, self.loop.predictor, self.law)
+        return controller and self.loop.real.traced and self.loop.measurement.observer is None
 
-    def run(
-        self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, past: inputs.Past, samples: np.ndarray,
-        delays: np.ndarray, first: int, progress: Any,
-    ) -> Record:  # fmt: skip
-        """One chunk of loops: X0 (B, n), D, D_hat (B,), the inputs of t < 0, samples (B, S), delays (steps + 1 or 0,
-        B).
-
-        `first` is the number of the chunk's first loop in the batch.
-        """
-        lanes, nx = len(D), 2 if self.predictor is None else self.predictor.nx
-        count = round(self.t_end / self.dt) + 1
-        origin, held, total = history(*self.reach(D, D_hat, delays), self.dt, past)
+    def run(self, c: slice, past: inputs.Past, samples: np.ndarray, delays: np.ndarray, progress: Any) -> Record:
+        """One chunk of the loops, with the inputs of t < 0, samples (B, S) and delays (steps + 1 or 0, B)."""
+        X0, D, D_hat = self.loop.X0[c], self.loop.D[c], self.loop.D_hat[c]
+        lanes, nx = len(D), 2 if self.loop.predictor is None else self.loop.predictor.nx
+        origin, held, total = history(*self.reach(D, D_hat, delays), self.loop.dt, past)
         state = self._state(X0, D, D_hat, held, total, nx)
-        rows = (count - 1) // self.every + 1
-        settings = self._settings(samples, delays, first, rows)
-        n, m = self.plant.n, self.plant.m
+        rows = (self.count - 1) // self.every + 1
+        settings = self._settings(samples, delays, c.start, rows)
+        n, m = self.loop.plant.n, self.loop.plant.m
         sizes = {"n": n, "m": m, "nx": nx, "row": rows, "sample": samples.shape[1] + 1, "breach": n + m + 1}
         out = Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
         steps = Engine(self.parts, settings, state, out)
         if progress:
             progress(0)
-        for start, stop in pairwise([0, *range(min(FIRST, count), count, BLOCK), count]):
+        for start, stop in pairwise([0, *range(min(FIRST, self.count), self.count, BLOCK), self.count]):
             with devices.one_thread():
                 steps.run(origin, start, stop)
             if progress:
                 progress((stop - start) * lanes)
         return out
 
-    def clocked(self, timing: Timing, observer: Any, watchdog: Watchdog | None) -> Clocked:
-        """The same loops on a real clock."""
-        assert self.predictor is not None
-        return Clocked(
-            self.plant, self.predictor, self.adaptation, self.input_bounds, self.dt, round(self.t_end / self.dt) + 1,
-            self.every, self.parts["advance"], self.truth, self.pushes, self.measurement, timing, observer, watchdog,
-            self.safety,
-        )  # fmt: skip
-
     def reach(self, D: np.ndarray, D_hat: np.ndarray, delays: np.ndarray) -> tuple[float, float]:
         """How far back commands may be read, in seconds: before t = 0, and at any time."""
         spans = [D.max(), delays.max(initial=0.0)]
-        if self.recalls or self.law.memory > 1 or self.plant.declares_delay:
-            spans += [D_hat.max(), self.law.bounds[1] if self.adaptation else 0.0]
-        before = float(max(spans)) + self.measurement.delay
-        return before, before + (self.t_end if self.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
+        if self.reads_commands or self.law.memory > 1 or self.loop.plant.declares_delay:
+            spans += [D_hat.max(), self.law.bounds[1] if self.loop.adaptation else 0.0]
+        before = float(max(spans)) + self.loop.measurement.delay
+        longest = (self.count - 1) * self.loop.dt
+        return before, before + (longest if self.loop.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
     @cached_property
     def parts(self) -> dict[str, Any]:
         """The sentences of a control step, on lanes, traced once for all chunks."""
-        model = ConstantDelay(self.plant) if self.blind else problem_of(self.plant)
-        truth, law = problem_of(self.truth), self.law
-        observer = self.measurement.observer
+        model = ConstantDelay(self.loop.plant) if self.blind else problem_of(self.loop.plant)
+        truth, law = problem_of(self.loop.real), self.law
+        observer = self.loop.measurement.observer
         return {
             "horizon": truth.horizon(),
             "observer": observer and sensing.observed(observer),
             "observe": law.observe,
             "believe": model.horizon(),  # None too where D_hat = 0
-            "predict": self.predictor and (model.sweep(RK4.step) if self.blind else self.predictor.lanes()),
-            "guard": None if self.blind else getattr(self.predictor, "guard", None),
+            "predict": self.loop.predictor and (model.sweep(RK4.step) if self.blind else self.loop.predictor.lanes()),
+            "guard": None if self.blind else getattr(self.loop.predictor, "guard", None),
             "control": law.control,
             "update": law.update,
             "pace": truth.speed(),
-            "advance": engine.advance_kernel(self.truth, self.integrator),
-            **engine.protection(self.safety, self.predictor),
-            "model": None if self.measurement.perfect else engine.advance_kernel(self.plant, self.integrator),
+            "advance": engine.advance_kernel(self.loop.real, self.integrator),
+            **engine.protection(self.loop.safety, self.loop.predictor),
+            "model": None if self.loop.measurement.perfect else engine.advance_kernel(self.loop.plant, self.integrator),
         }
 
     def _settings(self, samples: np.ndarray, delays: np.ndarray, first: int, rows: int) -> Settings:
-        m, settings = self.plant.m, getattr(self.predictor, "settings", None)
+        plant, m, settings = self.loop.plant, self.loop.plant.m, getattr(self.loop.predictor, "settings", None)
         pushes = self.pushes if self.pushes.shape[2] < 2 else self.pushes[..., first : first + len(samples)]
         return signals.settings(
-            dt=self.dt,
+            dt=self.loop.dt,
             b=self.law.b,
-            gamma_dt=self.law.gamma * self.dt,
+            gamma_dt=self.law.gamma * self.loop.dt,
             every=self.every,
             row_count=rows,
             sample_count=samples.shape[1],
-            late=round(self.measurement.delay / self.dt) if self.measurement.observer is None else 0,
-            recalls=self.recalls,
+            late=round(self.loop.measurement.delay / self.loop.dt) if self.loop.measurement.observer is None else 0,
+            recalls=self.reads_commands,
             keeps=True,
-            moves=self.truth.declares_delay,
-            senses=not self.measurement.perfect,
+            moves=self.loop.real.declares_delay,
+            senses=not self.loop.measurement.perfect,
             tabulates=len(delays) > 0,
             disturbed=pushes.shape[2],
             bounds=self.law.bounds,
-            input_bounds=np.ascontiguousarray(self.input_bounds, dtype=float),
-            u_star=np.ascontiguousarray(self.plant.u_equilibrium if self.plant.rests else np.zeros(m), dtype=float),
-            p=self.plant.p,
-            truth_p=self.truth.p,
-            ratios=self.plant.ratios,
+            input_bounds=np.ascontiguousarray(self.loop.input_bounds, dtype=float),
+            u_star=np.ascontiguousarray(plant.u_equilibrium if plant.rests else np.zeros(m), dtype=float),
+            p=self.loop.plant.p,
+            truth_p=self.loop.real.p,
+            ratios=self.loop.plant.ratios,
             law=self.law.settings,
             guard=np.zeros(0) if settings is None else settings,
-            delays=np.array(delays[:, None, :] * self.plant.ratios[:, None], order="C"),
+            delays=np.array(delays[:, None, :] * self.loop.plant.ratios[:, None], order="C"),
             disturbance=np.ascontiguousarray(pushes),
             samples=np.array(samples.T, order="C", dtype=np.int64),
-            **(self.safety.settings(self.dt, self.input_bounds) if self.safety else {}),
-            **sensing.settings(self.measurement, self.dt, first, self.plant.n),
+            **(self.loop.safety.settings(self.loop.dt, self.loop.input_bounds) if self.loop.safety else {}),
+            **sensing.settings(self.loop.measurement, self.loop.dt, first, self.loop.plant.n),
         )
 
     def _state(
         self, X0: np.ndarray, D: np.ndarray, D_hat: np.ndarray, held: np.ndarray, total: np.ndarray, nx: int
     ) -> State:
-        n, m, lanes, D = self.plant.n, self.plant.m, len(D), self.plant.ratios[:, None] * D
-        X, age = np.array(X0.T, order="C"), round(self.measurement.delay / self.dt)
-        reads_commands = self.recalls or (self.plant.declares_delay and not self.blind)
+        n, m, lanes, D = self.loop.plant.n, self.loop.plant.m, len(D), self.loop.plant.ratios[:, None] * D
+        X, age = np.array(X0.T, order="C"), round(self.loop.measurement.delay / self.loop.dt)
+        reads_commands = self.reads_commands or (self.loop.plant.declares_delay and not self.blind)
         arrays = {"X": X, "D": D, "D_hat": np.array(D_hat), "held": held, "total": total}
         arrays |= {"D_seen": D.copy() if reads_commands else D}
-        arrays |= {"X_hat": X, "Y": X} if self.measurement.perfect else {"X_hat": X.copy()}
+        arrays |= {"X_hat": X, "Y": X} if self.loop.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": n, "m": m, "nx": nx, "observer": self.law.memory, "past": age + 1}
         sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "protected"), 0)
-        sizes |= self.safety.sizes(nx) if self.safety else {}
+        sizes |= self.loop.safety.sizes(nx) if self.loop.safety else {}
         return State(**signals.memory(signals.STATE, sizes, lanes, arrays))

@@ -3,7 +3,7 @@
 import math
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -11,10 +11,11 @@ from npred import array_checks, source_lines
 from npred.delays import problem_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop import engine, loop_checks, signals
-from npred.loop.actuator import ROUNDING, history
+from npred.loop.actuator import ROUNDING, SNAP, history
 from npred.loop.clock import Clock
 from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
+from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.watchdog import Watchdog
 from npred.notebook import InNotebook
@@ -22,13 +23,27 @@ from npred.observers import Observer
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.predictors import RK4, Predictor
-from npred.safety import SafetyFilter
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
-SIGMAS = 6.0  # of an output that an observer of the state estimates: `gate` times as many are not believed
-SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
+SIGMAS = 6.0  # of an output that an observer of the state estimates: `outlier_limit` times as many are not believed
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
+
+
+def controller(
+    plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *, D_hat: float | None = None,
+    **parts: Unpack[ControllerParts],
+) -> "Controller":  # fmt: skip
+    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
+    `actuator="history"`, where u is not measured.
+
+    `parts` are the other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog,
+    safety, outlier_limit, max_sample_age, history_length.
+
+    Raises ConfigError for parts that do not fit together, and for an unknown one.
+    """
+    named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
+    return Controller(Loop.of("controller", REALITY, named | {**parts}))
 
 
 class Controller(InNotebook):
@@ -43,47 +58,48 @@ class Controller(InNotebook):
     controller belongs to one thread; a pickled one goes on where it stood.
 
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
-    further from it than `gate` times half the box, or |X_hat| where that is more, in any state, is not believed: X_hat
-    takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples in a row for
-    D_hat seconds are, within six half widths of the box's middle, and ten times as far after each further D_hat: X has
-    jumped. `gate=None` believes all; so does a state without a box.
+    further from it than `outlier_limit` times half the box, or |X_hat| where that is more, in any state, is not
+    believed: X_hat takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples
+    in a row for D_hat seconds are, within six half widths of the box's middle, and ten times as far after each further
+    D_hat: X has jumped. `outlier_limit=None` believes all; so does a state without a box.
 
-    With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to `oldest`
-    seconds ago (20 control steps by default): X_hat is the model's state from the last sample on. `observer`, one of
-    npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it believes an output
-    within 6 `gate` standard deviations, and begins anew where it did not believe one for D_hat. `watchdog` says what U
-    is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant declares (npred.SafetyFilter);
-    with an uncertain delay it needs "history".
+    With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
+    `max_sample_age` seconds ago (20 control steps by default): X_hat is the model's state from the last sample on.
+    `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
+    believes an output within 6 `outlier_limit` standard deviations, and begins anew where it did not believe one for
+    D_hat. `watchdog` says what U is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
+    declares (npred.SafetyFilter); with an uncertain delay it needs "history".
+
     Raises ConfigError for parts that do not fit together.
     """
 
-    def __init__(
-        self, plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *,
-        D_hat: float | None = None, input_bounds: Any = None, actuator: str = "measured", u0: Any = None,
-        longest: float | None = None, gate: float | None = 1.0, oldest: float | None = None, observer: Any = None,
-        watchdog: Watchdog | None = None, safety: SafetyFilter | None = None,
-    ) -> None:  # fmt: skip
-        loop_checks.parts(plant, predictor, adaptation)
-        loop_checks.actuator_state(actuator)
+    def __init__(self, loop: Loop) -> None:
+        plant, predictor, safety = loop.plant, loop.predictor, loop.safety
+        loop_checks.parts(plant, predictor, loop.adaptation)
+        loop_checks.actuator_state(loop.actuator)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
-        if not 0 < (seconds := array_checks.number("dt", dt)) < math.inf:
-            raise ConfigError(f"dt: expected a control step above 0, got {dt!r}; give a time in {plant.time_unit}")
-        adaptation = adaptation and self._suited(plant, adaptation, D_hat)
+        if not 0 < (seconds := array_checks.number("dt", loop.dt)) < math.inf:
+            raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
+        adaptation = loop.adaptation and self._suited(plant, loop.adaptation, loop.D_hat)
         self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
-        law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, input_bounds)
-        self.actuator, self._u0 = actuator, inputs.start(plant, u0, self._limits)
+        law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, loop.input_bounds)
+        self.actuator, self._u0 = loop.actuator, inputs.start(plant, loop.u0, self._limits)
         self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
-        self._recalls, self._watches = actuator == loop_checks.HISTORY, law.memory > 1
+        self._recalls, self._watches = loop.actuator == HISTORY, law.memory > 1
         self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
-        self.gate = None if gate is None else array_checks.number("gate", gate)
-        if self.gate is not None and not 0 < self.gate < math.inf:
-            raise ConfigError(f"gate: expected a number above 0, or None for no gate, got {gate!r}; 1 is the default")
-        self.oldest, self.observer, self.watchdog, self.safety = oldest, observer, watchdog, safety
+        gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
+        if gate is not None and not 0 < gate < math.inf:
+            raise ConfigError(
+                f"outlier_limit: expected a number above 0, or None for no limit, got {gate!r}; 1 is the default"
+            )
+        self.outlier_limit, self.max_sample_age = gate, loop.max_sample_age
+        self.observer, self.watchdog, self.safety = loop.observer, loop.watchdog, safety
+        observer, watchdog = loop.observer, loop.watchdog
         if safety is not None:
             loop_checks.protected(plant, safety, self.dt)
         self._check_clocked()
-        self._oldest = math.floor(seconds_in(oldest, self.dt)) if self._recalls else 0
+        self._oldest = math.floor(sample_age(loop.max_sample_age, self.dt)) if self._recalls else 0
         self.parts = {
             "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
@@ -93,7 +109,7 @@ class Controller(InNotebook):
         }  # fmt: skip
         self.settings = signals.settings(
             dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, recalls=self._recalls, keeps=self._recalls,
-            gate=(self.gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._recalls and self.gate is not None,
+            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._recalls and gate is not None,
             observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
             offsets=bool(observer and observer.offset), output_count=len(self.outputs),
             watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
@@ -106,13 +122,13 @@ class Controller(InNotebook):
             bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
             input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if predictor.settings is None else predictor.settings,
-            reach=(self.gate or 1.0) * _half_widths(plant),
+            reach=(gate or 1.0) * _half_widths(plant),
             **(safety.settings(self.dt, self._limits) if safety else {}),
         )  # fmt: skip
-        D_hat = self._start(D_hat)
+        D_hat = self._start(loop.D_hat)
         array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
         self._first_D_hat, self._awaits_X = D_hat, False
-        self._take_memory(law.memory, self._kept(D_hat, longest))
+        self._take_memory(law.memory, self._kept(D_hat, loop.history_length))
         self._set_state(D_hat, None, 0, 0.0)
         self._reset_clock(None)
         self._warm_up()
@@ -295,13 +311,19 @@ class Controller(InNotebook):
 
     def fresh(self) -> "Controller":
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
-        parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
-                 "observer": self.observer, "watchdog": self.watchdog, "safety": self.safety}  # fmt: skip
-        other = type(self)(*parts, D_hat=self.D_hat, **named)
+        other = type(self)(self.loop)
         other._set_state(self.D_hat, None, 0, self.t)
         return other
+
+    @property
+    def loop(self) -> Loop:
+        """The description that another controller with these parts and this D_hat is made of."""
+        return Loop(
+            plant=self.plant, predictor=self.predictor, dt=self.dt, adaptation=self.adaptation, D_hat=self.D_hat,
+            input_bounds=self._limits, u0=self._u0, actuator=self.actuator, observer=self.observer,
+            watchdog=self.watchdog, safety=self.safety, outlier_limit=self.outlier_limit,
+            max_sample_age=self.max_sample_age, history_length=self._longest,
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -310,20 +332,16 @@ class Controller(InNotebook):
         return f"<Controller of plant {self.plant.name} with {self.predictor!r}, {times}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        parts = (self.plant, self.predictor, self.adaptation, self.dt)
-        named = {"input_bounds": self._limits, "actuator": self.actuator, "u0": self._u0,
-                 "longest": self._longest, "gate": self.gate, "oldest": self.oldest,
-                 "observer": self.observer, "watchdog": self.watchdog, "safety": self.safety}  # fmt: skip
-        return {"parts": parts, "named": named, "state": self.state(), "P": self._last_P}
+        return {"loop": self.loop, "state": self.state(), "P": self._last_P}
 
     def __setstate__(self, saved: Mapping[str, Any]) -> None:
-        Controller.__init__(self, *saved["parts"], D_hat=saved["state"]["D_hat"], **saved["named"])
+        Controller.__init__(self, saved["loop"])
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
 
     def _check_clocked(self) -> None:
         """Raise ConfigError for parts that need the commands' history, where it has none, or are of another plant."""
-        parts = {"oldest": self.oldest, "observer": self.observer, "watchdog": self.watchdog}
+        parts = {"max_sample_age": self.max_sample_age, "observer": self.observer, "watchdog": self.watchdog}
         for name, value in parts.items():
             if value is not None and not self._recalls:
                 raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
@@ -367,9 +385,11 @@ class Controller(InNotebook):
         if longest is None:
             reads = self._recalls and self.plant.declares_delay
             return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
-        if not needed <= (seconds := array_checks.number("longest", longest)) < math.inf:
+        if not needed <= (seconds := array_checks.number("history_length", longest)) < math.inf:
             least = self.plant.time_text(needed)
-            raise ConfigError(f"longest: expected at least the largest delay, {least}, got {longest!r}; raise it")
+            raise ConfigError(
+                f"history_length: expected at least the largest delay, {least}, got {longest!r}; raise it"
+            )
         return seconds
 
     def _take_memory(self, size: int, longest: float) -> None:
@@ -537,7 +557,7 @@ class Controller(InNotebook):
             engine.MEASUREMENT: "expected finite X and u, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
             engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
-            "raise longest",
+            "raise history_length",
         }[code]
 
     def _warm_up(self) -> None:
@@ -550,12 +570,12 @@ class Controller(InNotebook):
             getattr(self.memory, signal)[:] = 0.0
 
 
-def seconds_in(oldest: float | None, dt: float) -> float:
+def sample_age(limit: float | None, dt: float) -> float:
     """The largest age of a sample, in control steps. Raises ConfigError for a negative one."""
-    seconds = OLDEST * dt if oldest is None else array_checks.number("oldest", oldest)
-    if not 0 <= seconds < math.inf:
-        raise ConfigError(f"oldest: expected how old a sample may be, at least 0, got {oldest!r}; give a time")
-    return seconds / dt * (1 + 1e-12)
+    age = OLDEST * dt if limit is None else array_checks.number("max_sample_age", limit)
+    if not 0 <= age < math.inf:
+        raise ConfigError(f"max_sample_age: expected how old a sample may be, at least 0, got {limit!r}; give a time")
+    return age / dt * (1 + 1e-12)
 
 
 def _snapped(steps: float) -> float:

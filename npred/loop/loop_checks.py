@@ -10,12 +10,11 @@ from npred.delays import problem_of
 from npred.errors import ConfigError, unlisted
 from npred.loop.actuator import ROUNDING
 from npred.loop.delay_law import DelayLaw
+from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
 from npred.plants.base import Plant
 from npred.predictors import OneStep, Predictor, method
 from npred.safety import SafetyFilter
-
-MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
@@ -52,27 +51,24 @@ def start(plant: Plant, X0: np.ndarray) -> None:
             )
 
 
-def reality(
-    plant: Plant, law: DelayLaw | None, D: Any, D_hat: Any, actuator: Any, measurement: Any, truth: Any, push: Any,
-    observer: Any = None,
-) -> None:  # fmt: skip
+def reality(loop: Loop) -> None:
     """Raise ConfigError for a delay, an actuator, a measurement, a truth or a disturbance of the wrong kind."""
+    plant, D, D_hat, measurement, truth = loop.plant, loop.D, loop.D_hat, loop.measurement, loop.truth
     if plant.declares_delay:
         blind = D_hat is not None and not np.any(array_checks.floats("D_hat", D_hat))
-        for name, value in (("D", D), ("D_hat", None if blind else D_hat), ("adaptation", law)):
+        for name, value in (("D", D), ("D_hat", None if blind else D_hat), ("adaptation", loop.adaptation)):
             if value is not None:
                 todo = f"leave {name} out" + (", or give 0 for no prediction" if name == "D_hat" else "")
                 raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; {todo}")
     for name, value in (("D", D), ("D_hat", D_hat)):
         if value is None and not plant.declares_delay:
             raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
-    actuator_state(actuator)
-    if measurement is not None and not isinstance(measurement, Measurement):
+    actuator_state(loop.actuator)
+    if not isinstance(measurement, Measurement):
         raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
-    if measurement is not None:
-        measurement.check(plant, observer and len(observer.outputs))
-    if push is not None and not callable(push):
-        raise ConfigError(f"disturbance: expected a function of t, got {push!r}; write lambda t: [0.1]")
+    measurement.check(plant, loop.observer and len(loop.observer.outputs))
+    if loop.disturbance is not None and not callable(loop.disturbance):
+        raise ConfigError(f"disturbance: expected a function of t, got {loop.disturbance!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
         raise ConfigError(
             f"truth: expected a plant with {plant.n} states and {plant.m} inputs, got {truth!r}; give one"

@@ -6,12 +6,11 @@ the state: they depend neither on the batch nor on the order of evaluation.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from npred import array_checks
 from npred.errors import ConfigError
@@ -20,30 +19,29 @@ from npred.plants.base import Plant
 
 PER_STATE = ("noise", "absolute", "bias", "resolution")  # one number, or one for each state
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
+PerState: TypeAlias = float | Sequence[float]
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period` seconds.
+class Sensors:
+    """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period`.
 
     ξ and η are standard normal, independent by sample and state; q_i rounds to the nearest multiple of resolution_i,
     half to even, and not at all where that is 0. The first sample, at t = 0, is there at once. Times are rounded to
-    control steps, and no gap between samples is shorter than one.
+    control steps, and no gap between samples is shorter than one. Between samples the controller predicts the state
+    from the last one and its commands.
 
     Raises ConfigError for a value out of range.
     """
 
-    noise: ArrayLike = 0.0
-    absolute: ArrayLike = field(default=0.0, kw_only=True)
-    bias: ArrayLike = field(default=0.0, kw_only=True)
-    resolution: ArrayLike = field(default=0.0, kw_only=True)
-    period: float | None = None
-    jitter: float = 0.0
-    delay: float = 0.0
-    drop: float = 0.0
-    seed: int = 0
-    observer: Observer | None = None
-    first: int = 0
+    noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
+    absolute: PerState = field(default=0.0, kw_only=True)  #: the same, in units of the state
+    bias: PerState = field(default=0.0, kw_only=True)  #: of each sample, in units of the state
+    resolution: PerState = field(default=0.0, kw_only=True)  #: step of the sensor, in units of the state; 0 for none
+    period: float | None = None  #: between samples, in the plant's unit of time; by default the control step
+    jitter: float = 0.0  #: largest deviation of a period, relative to it
+    delay: float = 0.0  #: from a sample to its arrival, in the plant's unit of time
+    drop: float = 0.0  #: probability that a sample never arrives
 
     def __post_init__(self) -> None:
         period = math.inf if self.period is None else array_checks.number("measurement: period", self.period)
@@ -67,6 +65,36 @@ class Measurement:
                 raise ConfigError(f"measurement: expected {name} {room}, got {value:g}; give another")
         if self.jitter and self.period is None:
             raise ConfigError("measurement: expected a period that jitter spreads, got none; give period")
+
+    @property
+    def exact(self) -> bool:
+        """Whether each sample is X itself, at once."""
+        perturbed = any(np.any(getattr(self, name)) for name in PER_STATE)
+        return not perturbed and self.period is None and not (self.delay or self.drop)
+
+    def check(self, plant: Plant, outputs: int | None = None) -> None:
+        """Raise ConfigError where there is not a number for each state of the plant, or for each of its outputs."""
+        count, what = (plant.n, "state") if outputs is None else (outputs, "output")
+        for name in PER_STATE:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and len(value) != count:
+                what = f"expected {name} as one number or {count}, one per {what} of plant {plant.name}"
+                raise ConfigError(f"measurement: {what}, got {len(value)}; give as many")
+
+
+@dataclass(frozen=True)
+class Measurement(Sensors):
+    """Sensors with the seed of their noise, and an observer X_hat = observer(X_hat, Y, U, t) in Python.
+
+    `first` is the number of the first loop, where loops are part of a larger batch.
+    """
+
+    seed: int = 0
+    observer: Observer | None = None
+    first: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("seed", "first"):
             number = getattr(self, name)
             if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:
@@ -81,17 +109,7 @@ class Measurement:
     @property
     def perfect(self) -> bool:
         """Whether the controller sees X itself."""
-        exact = not any(np.any(getattr(self, name)) for name in PER_STATE)
-        return exact and self.observer is None and self.period is None and not (self.delay or self.drop)
-
-    def check(self, plant: Plant, outputs: int | None = None) -> None:
-        """Raise ConfigError where there is not a number for each state of the plant, or for each of its outputs."""
-        count, what = (plant.n, "state") if outputs is None else (outputs, "output")
-        for name in PER_STATE:
-            value = getattr(self, name)
-            if isinstance(value, tuple) and len(value) != count:
-                what = f"expected {name} as one number or {count}, one per {what} of plant {plant.name}"
-                raise ConfigError(f"measurement: {what}, got {len(value)}; give as many")
+        return self.exact and self.observer is None
 
 
 def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[str, Any]:

@@ -8,8 +8,7 @@ import numpy as np
 
 from npred import array_checks
 from npred.errors import ConfigError
-from npred.loop.actuator import ROUNDING
-from npred.loop.controller import SNAP
+from npred.loop.actuator import ROUNDING, SNAP
 from npred.loop.measurement import Measurement
 
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
@@ -19,24 +18,20 @@ FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
 @dataclass(frozen=True)
-class Timing:
+class ControlClock:
     """The clock of a control loop: call k comes at k dt + jitter dt r, r uniform on [-1, 1]; the first one at 0.
 
-    Random numbers are functions of the seed, the loop and the call. In a control step whose call is skipped nothing is
-    computed.
+    In a control step whose call is skipped nothing is computed.
 
     Raises ConfigError for a value out of range.
     """
 
-    jitter: float = 0.0
-    lost: float = 0.0
-    overrun: float = 0.0
-    tells: bool = False
-    stop: float = 0.0
-    stop_every: float | None = None
-    gate: float | None = 1.0
-    oldest: float | None = None
-    seed: int = 0
+    jitter: float = 0.0  #: largest deviation of a call from its time, in control steps
+    lost: float = 0.0  #: probability that a command is lost; the actuator keeps the last one
+    overrun: float = 0.0  #: probability that a call is skipped
+    tells: bool = False  #: whether the next call reports a lost command to the controller
+    stop: float = 0.0  #: samples of the last `stop` are lost …
+    stop_every: float | None = None  #: … of each period of this length, both in the plant's unit of time
 
     def __post_init__(self) -> None:
         for name, highest in (("jitter", 0.5), ("lost", 1.0), ("overrun", 1.0)):
@@ -51,6 +46,16 @@ class Timing:
                 f"timing: expected 0 < stop < stop_every, or neither, got {self.stop!r} and {self.stop_every!r}; "
                 "give two times"
             )
+
+
+@dataclass(frozen=True)
+class Timing(ControlClock):
+    """The clock of a control loop, with the seed of its random numbers, which are functions of loop and call too."""
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if not isinstance(self.seed, int | np.integer) or not -(2**63) <= self.seed < 2**63:
             raise ConfigError(f"timing: expected a whole number of 64 bits as seed, got {self.seed!r}; give one")
 

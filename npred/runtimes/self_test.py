@@ -208,7 +208,7 @@ def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
 def _recalled(controller: Controller, size: float) -> Test:
     """Those of a controller that remembers its commands."""
     world, player, shift, rows = _World(controller, size), _Player(controller, np.zeros(0)), 0.0, []
-    outputs, gate = controller.observer.measured if controller.observer else np.asarray, controller.gate or 0.3
+    outputs, gate = controller.observer.measured if controller.observer else np.asarray, controller.outlier_limit or 0.3
     for s, (what, gap, age) in enumerate(_calls(controller)):
         world.to(world.t + max(gap, 0.0) * controller.dt * (s > 0))
         if what == "kick":

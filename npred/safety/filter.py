@@ -37,9 +37,9 @@ class SafetyFilter:
     Raises ConfigError for numbers that make no sense.
     """
 
-    alpha: float = 1.0
-    margin: float = 0.0
-    delay: float = 0.0
+    alpha: float = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1 / time; at most 1 / dt
+    margin: float = 0.0  #: added to that condition, in units of h / time^r if U moves the derivative r of h first
+    delay: float = 0.0  #: how wrong D_hat may be, in the plant's unit of time; above 0 with actuator = "history"
 
     def __post_init__(self) -> None:
         for name, room in (("alpha", "above 0"), ("margin", "of at least 0"), ("delay", "of at least 0")):

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred import array_checks, diagnosis, plants, predictors
 from npred.conditions import Condition
-from npred.conditions.condition import observer_and_filter
+from npred.conditions.condition import observer
 from npred.config import FROZEN, PAPER, Loop, Pipeline, Scenario
 from npred.delays import problem_of
 from npred.diagnosis import Answer, Case, PlannedExperiment
@@ -21,7 +21,6 @@ from npred.errors import ConfigError
 from npred.loop import clocked, delay_law, loop_checks
 from npred.loop.adaptation import DelayAdaptation, undeclared
 from npred.loop.closed_loop import LANES
-from npred.loop.measurement import Measurement
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant, inputs
 from npred.predictors.guarded import Guarded
@@ -270,12 +269,12 @@ def parts(fit: PipelineFit) -> None:
     tables = [*fit.loops.values(), *(fit.pipeline.evaluate.under(scenario) for scenario in fit.scenarios)]
     for loop in tables:
         delay_law.resolve(loop, fit.plant)
-        observer, safety = observer_and_filter(fit.plant, loop).values()
-        Measurement(**dict(loop.measurement)).check(fit.plant, observer and len(observer.outputs))
-        if loop.timing or observer:
+        estimator = observer(loop, fit.plant)
+        loop.measurement.check(fit.plant, estimator and len(estimator.outputs))
+        if loop.timing or estimator:
             clocked.serves(fit.plant)
-        if safety:
-            loop_checks.protected(fit.plant, safety, loop.dt)
+        if loop.safety:
+            loop_checks.protected(fit.plant, loop.safety, loop.dt)
         plants.varied(fit.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, fit.plant, loop.nx)
     if "evaluate" in fit.stages and (guard := fit.pipeline.evaluate.guard):

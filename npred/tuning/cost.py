@@ -1,7 +1,7 @@
 """What loops of [evaluate] cost, by start: the time until they settle, and a little of the control effort."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Self
 
@@ -117,7 +117,7 @@ class Loops:
             law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
             safety = condition.table.safety
             if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
-                law["safety"] = safety.model_copy(update={"alpha": numbers[ALPHA]})
+                law["safety"] = replace(safety, alpha=numbers[ALPHA])
             table = condition.table.model_copy(update=law)
             predictor = numerical(table.predictor, plant, table.nx)
             changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+import npred
 from npred import grid, plants, predictors
 from npred.delays.constant import ConstantDelay
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
-from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import RK4, Euler, Picard
 from npred.registry import METHODS
@@ -158,7 +158,7 @@ def test_the_prediction_meets_the_plant_at_first_order_in_dt(more):
 def test_control_is_the_law_of_the_prediction_at_each_delay(nx):
     """U_j = kappa_j(P(r_j), t + r_j D_hat), whether x = 5/12 is a node (nx = 97) or lies between two."""
     declared, X = plant((0.25, 0.6)), [0.5, -0.3, 0.8]
-    controller = Controller(declared, RK4(declared, nx), None, 0.01, D_hat=D_HAT)
+    controller = npred.controller(declared, RK4(declared, nx), None, 0.01, D_hat=D_HAT)
     for k in range(3):
         U = controller.step(X, u(grid.nodes(nx)))
         for c, (r, P) in enumerate(zip(declared.ratios, exact(declared, X, u, 0.01 * k, declared.ratios), strict=True)):
@@ -218,7 +218,7 @@ def test_the_update_law_is_refused_with_distinct_delays():
     with pytest.raises(ConfigError, match=told + "freeze the estimate"):
         simulate(declared, RK4(declared), D=0.6, D_hat=0.6, X0=[0.1, 0, 0], t_end=1.0, adaptation=law)
     with pytest.raises(ConfigError, match=told):
-        Controller(declared, RK4(declared), law, 0.01)
+        npred.controller(declared, RK4(declared), law, 0.01)
     with pytest.raises(ConfigError, match=told):
         law.phi(declared, np.zeros(3), np.zeros((5, 2)), np.zeros((5, 3)), 0.6)
 

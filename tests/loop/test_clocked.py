@@ -62,6 +62,7 @@ class Pair:
 
 
 SWING, SEEN, PAIR, ROCKED = (Plant(kind.__name__.lower(), kind) for kind in (Swing, Seen, Pair, Rocked))
+TIMED = {"timing": npred.Timing(), "outlier_limit": None}
 UNSTEADY = npred.Timing(jitter=0.3, lost=0.1, overrun=0.1, seed=3)
 
 
@@ -105,9 +106,7 @@ def truth(plant, sent, delay, push, X, start, end):
 def referee(plant, X0, t_end, plan, timing, D=0.2, law=None, D_hat=0.2, push=lambda t: 0.0, **named):
     """X at the control steps, and U, D_hat and X_hat of each, by an event loop in Python."""
     delay = D if callable(D) else lambda t: D
-    controller = npred.controller(
-        plant, RK4(plant, 41), law, DT, D_hat=D_hat, actuator="history", gate=timing.gate, **named
-    )
+    controller = npred.controller(plant, RK4(plant, 41), law, DT, D_hat=D_hat, actuator="history", **named)
     sent, X, at, untold = [(-np.inf, np.zeros(plant.m))], np.array(X0), 0.0, None
     samples, waiting, rows, U = {}, list(zip(plan.taken, plan.number, strict=True)), [], np.zeros(plant.m)
     events = [(k * DT, 2, "row", k) for k in range(round(t_end / DT) + 1)]
@@ -186,7 +185,7 @@ def test_ideal_timing_is_the_plain_loop(D, law):
     """Up to rounding errors: positions in the history are counted from another step."""
     named = {"X0": np.array([[0.5, 0.2], [-0.3, 0.1], [0.1, 0.0]]), "D_hat": 0.25, "adaptation": law, "u0": "law"}
     plain = simulated(SWING, D=D, **named)
-    timed = simulated(SWING, D=D, timing=npred.Timing(gate=None), **named)
+    timed = simulated(SWING, D=D, timing=npred.Timing(), outlier_limit=None, **named)
     for series in ("X", "U", "P", "D_hat", "N"):
         np.testing.assert_allclose(getattr(timed, series), getattr(plain, series), rtol=0, atol=1e-10)
     assert not timed.clock.age.any() and not timed.clock.skipped.any() and not timed.clock.refusals.any()
@@ -196,7 +195,10 @@ def test_a_delay_that_jumps_is_the_plain_loops():
     """Where it grows, the plant gets older commands again. In the step of the jump itself the two differ a little."""
     for before, after in ((0.2, 0.3), (0.3, 0.2)):
         D = lambda t, a=before, b=after: a if t < 1.0 else b  # noqa: E731
-        plain, timed = (simulated(SWING, [0.5, 0.2], D=D, **more) for more in ({}, {"timing": npred.Timing(gate=None)}))
+        plain, timed = (
+            simulated(SWING, [0.5, 0.2], D=D, **more)
+            for more in ({}, {"timing": npred.Timing(), "outlier_limit": None})
+        )
         np.testing.assert_allclose(timed.X, plain.X, rtol=0, atol=1e-5)
 
 
@@ -204,7 +206,8 @@ def test_a_disturbance_and_a_history_before_the_start_are_the_plain_loops():
     X0, push = [[0.5, 0.2], [0.2, 0.0]], lambda t: [[np.sin(3 * t)], [0.2]]
     for u0 in ([[0.3], [-0.2], [0.1]], lambda t: [np.cos(9 * t)]):
         plain, timed = (
-            simulated(SWING, X0, u0=u0, disturbance=push, **more) for more in ({}, {"timing": npred.Timing(gate=None)})
+            simulated(SWING, X0, u0=u0, disturbance=push, **more)
+            for more in ({}, {"timing": npred.Timing(), "outlier_limit": None})
         )
         np.testing.assert_allclose(timed.X, plain.X, rtol=0, atol=1e-10)
 

@@ -11,7 +11,6 @@ from operator_samples import PLANT, SMALL, operator
 
 import npred
 from npred.errors import ConfigError, DivergedError
-from npred.loop.controller import Controller
 from npred.plants import BlackBox, Plant
 from npred.predictors import RK4
 from npred.registry import RUNTIMES
@@ -62,7 +61,7 @@ def test_steps_equal_those_of_the_simulated_loop(runtime):
 def test_without_adaptation_and_with_bounds():
     run, bounds = RK4(PLANT, 21), [(-0.001, 0.002)]
     wanted = loop(run, None, bounds)
-    controller = Controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds)
+    controller = npred.controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds)
     for k in range(200):
         np.testing.assert_array_equal(controller.step(wanted.samples.X[k], wanted.samples.u[k]), wanted.U[k])
     assert controller.D_hat == 2.0
@@ -209,7 +208,7 @@ class Hot:
 @pytest.mark.filterwarnings("error")
 def test_a_prediction_in_python_that_diverges_is_an_error_and_no_warning():
     plant = BlackBox("hot", Hot)
-    controller = Controller(plant, RK4(plant, 11), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0)), 0.01)
+    controller = npred.controller(plant, RK4(plant, 11), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0)), 0.01)
     with pytest.raises(DivergedError, match="is not finite"):
         controller.step([900.0], np.zeros((11, 1)))
 
@@ -341,7 +340,7 @@ def test_a_step_that_fails_books_the_command_that_is_held_and_leaves_the_observe
 
 
 def test_what_the_actuator_got_instead_is_booked():
-    told, sent = (Controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history") for _ in "ab")
+    told, sent = (npred.controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history") for _ in "ab")
     for X in (0.1, 0.2, 0.3):
         told.step([X])
         U = sent.step([X]).copy()
@@ -380,12 +379,14 @@ def test_commands_reach_back_to_a_delay_that_the_plant_declares():
     assert controller.reach == pytest.approx(5.0)
     for k in range(300):
         np.testing.assert_allclose(controller.step(wanted.samples.X[k]), wanted.U[k], rtol=1e-9, atol=1e-12)
-    short = npred.controller(plant, run, None, 0.01, actuator="history", longest=0.5)
-    with pytest.raises(DivergedError, match=r"at most 0\.5 s, back to which commands are kept, got 1; raise longest"):
+    short = npred.controller(plant, run, None, 0.01, actuator="history", history_length=0.5)
+    with pytest.raises(
+        DivergedError, match=r"at most 0\.5 s, back to which commands are kept, got 1; raise history_length"
+    ):
         short.step(X)
     assert short.t == 0.01
-    with pytest.raises(ConfigError, match=r"longest: expected at least the largest delay, 4 s, got 1\.0"):
-        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="history", longest=1.0)
+    with pytest.raises(ConfigError, match=r"history_length: expected at least the largest delay, 4 s, got 1\.0"):
+        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="history", history_length=1.0)
 
 
 @pytest.mark.parametrize("u0", ["law", [[0.3], [-0.2], [0.1]], lambda t: [np.sin(t)]], ids=["law", "table", "function"])
@@ -393,7 +394,7 @@ def test_commands_before_the_first_step_are_those_of_the_simulated_loop(u0):
     plant = npred.plant("scalar")
     predictor = RK4(plant, 21)
     run = npred.simulate(plant, predictor, D=0.5, D_hat=0.5, X0=[0.8], t_end=1.5, dt=0.05, u0=u0, actuator="history")
-    controller = Controller(plant, predictor, None, 0.05, D_hat=0.5, actuator="history", u0=u0)
+    controller = npred.controller(plant, predictor, None, 0.05, D_hat=0.5, actuator="history", u0=u0)
     for k in range(30):
         np.testing.assert_allclose(controller.step(run.X[k]), run.U[k], rtol=0, atol=1e-14)
         if u0 == "law":
@@ -402,7 +403,9 @@ def test_commands_before_the_first_step_are_those_of_the_simulated_loop(u0):
 
 def test_a_first_step_that_fails_leaves_the_law_to_the_next():
     plant = npred.plant("scalar")
-    one, other = (Controller(plant, RK4(plant, 5), None, 0.05, D_hat=0.5, actuator="history", u0="law") for _ in "ab")
+    one, other = (
+        npred.controller(plant, RK4(plant, 5), None, 0.05, D_hat=0.5, actuator="history", u0="law") for _ in "ab"
+    )
     with pytest.raises(DivergedError):
         one.step([np.inf])
     assert one.step([0.4]) == other.step([0.4])
@@ -425,7 +428,7 @@ def pose_loop(steps):
 
 
 def turning(**options):
-    return Controller(UNICYCLE, RK4(UNICYCLE, 21), None, 0.01, D_hat=0.6, actuator="history", **options)
+    return npred.controller(UNICYCLE, RK4(UNICYCLE, 21), None, 0.01, D_hat=0.6, actuator="history", **options)
 
 
 @pytest.mark.parametrize("size", [2.0, 5.0, 12.0, -12.0])
@@ -435,7 +438,7 @@ def test_a_sample_that_the_plant_cannot_have_made_is_predicted_over(size):
     sent = around(controller, X, {20: X[20] + size})
     np.testing.assert_allclose(sent, U, atol=1e-6)
     assert controller.missed == 0
-    trusting = turning(gate=None)
+    trusting = turning(outlier_limit=None)
     assert np.abs(around(trusting, X[:21], {20: X[20] + size})[20] - U[20]).max() > 1
 
 
@@ -459,7 +462,9 @@ class Still:
 def test_the_gate_is_a_share_of_half_the_box_or_of_the_state_where_that_is_larger(was, reach, sign, gate):
     plant, missed = Plant("still", Still), []
     for way, state, part in ((way, state, part) for way in (1, -1) for state in (0, 1) for part in (0.99, 1.01)):
-        controller = npred.controller(plant, RK4(plant, 5), None, 0.1, D_hat=0.5, actuator="history", gate=gate)
+        controller = npred.controller(
+            plant, RK4(plant, 5), None, 0.1, D_hat=0.5, actuator="history", outlier_limit=gate
+        )
         controller.step(sign * np.array(was))
         controller.step(sign * np.array(was) + way * part * gate * reach[state] * np.eye(2)[state])
         missed.append(controller.missed)
@@ -481,7 +486,7 @@ class Waves(Still):
 def test_what_is_expected_is_the_state_a_step_later():
     """By the wave from now on, and by the commands of 2.15 and 4.3 steps ago; after a refused sample, from what was."""
     plant, dt, refused = Plant("waves", Waves), 0.1, (7, 8)
-    controller = npred.controller(plant, RK4(plant, 5), None, dt, D_hat=0.43, actuator="history", gate=9.0)
+    controller = npred.controller(plant, RK4(plant, 5), None, dt, D_hat=0.43, actuator="history", outlier_limit=9.0)
     sent, X = [np.zeros(2)] * 5, np.full(2, np.nan)  # from five steps before the first on
     for k in range(20):
         expected = X
@@ -517,7 +522,9 @@ class Stretched(Still):
 def test_over_refused_steps_what_is_expected_follows_the_delay_that_is_expected(jump, refused):
     """By the integral of the commands. A delay that cannot be, below 0 or beyond what is kept, counts as none."""
     plant, dt, kept, past = Plant("stretched", Stretched), 0.1, 1.5, 40
-    controller = npred.controller(plant, RK4(plant, 5), None, dt, actuator="history", gate=9.0, longest=kept)
+    controller = npred.controller(
+        plant, RK4(plant, 5), None, dt, actuator="history", outlier_limit=9.0, history_length=kept
+    )
     samples = [*(1.0 + 0.1 * np.cos(range(12))), jump, *[np.nan] * 8]
     sent, X, held = [0.0] * past, np.nan, 0
     for k, sample in enumerate(samples):
@@ -539,7 +546,9 @@ def test_a_delay_is_refused_from_where_its_commands_are_overwritten_on():
     """A tenth of a control step to either side of the longest that is kept."""
     plant, dt = Plant("stretched", Stretched), 0.1
     for beyond, refused in ((-0.1, False), (0.1, True)):
-        controller = npred.controller(plant, RK4(plant, 5), None, dt, actuator="history", gate=None, longest=1.5)
+        controller = npred.controller(
+            plant, RK4(plant, 5), None, dt, actuator="history", outlier_limit=None, history_length=1.5
+        )
         for k in range(60):
             controller.step([1.0], t=k * dt)
         longest = (controller.longest_D_hat + beyond * dt) / 0.3
@@ -562,7 +571,7 @@ class Bounded(Cube):
 
 def test_an_estimate_that_would_not_be_finite_refuses_the_step():
     plant = Plant("bounded", Bounded)
-    controller = npred.controller(plant, RK4(plant, 21), LAW, 0.01, D_hat=1.0, actuator="history", gate=None)
+    controller = npred.controller(plant, RK4(plant, 21), LAW, 0.01, D_hat=1.0, actuator="history", outlier_limit=None)
     controller.step([0.5])
     before = controller.D_hat
     with pytest.raises(DivergedError):
@@ -616,9 +625,9 @@ def test_a_state_that_jumps_is_believed_after_a_delay():
 def test_without_a_gate_wrong_samples_do_not_lock_it():
     """One sample 2 to 12 off, then good ones: once its command was huge, and each later step was refused."""
     X, _ = pose_loop(140)
-    low, high = turning(gate=None).settings.input_bounds.T
+    low, high = turning(outlier_limit=None).settings.input_bounds.T
     for size in (2.0, 5.0, 9.0, 12.0, -9.0):
-        controller, refused = turning(gate=None), []
+        controller, refused = turning(outlier_limit=None), []
         for k in range(140):
             try:
                 sent = controller.step(X[k] + size * (k == 20))
@@ -651,12 +660,12 @@ def test_a_gated_controller_goes_on_where_it_stood():
 
 @pytest.mark.parametrize("gate", [0.0, -1.0, np.inf, np.nan])
 def test_a_gate_that_is_none_is_told(gate):
-    with pytest.raises(ConfigError, match="gate: expected a number above 0, or None for no gate"):
-        turning(gate=gate)
+    with pytest.raises(ConfigError, match="outlier_limit: expected a number above 0, or None for no limit"):
+        turning(outlier_limit=gate)
 
 
 def test_without_a_box_every_sample_is_believed():
-    controller = Controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history")
+    controller = npred.controller(CUBE, RK4(CUBE, 21), None, 0.01, D_hat=0.2, actuator="history")
     controller.step([0.1])
     with pytest.raises(DivergedError):
         controller.step([1e200])

@@ -98,7 +98,7 @@ def test_between_samples_the_state_is_the_models_with_the_commands_at_their_time
 
 
 def test_with_calls_on_time_late_samples_cost_rounding_errors_alone():
-    controller, exact, truth = motor(gate=None), motor(gate=None), Truth()
+    controller, exact, truth = motor(outlier_limit=None), motor(outlier_limit=None), Truth()
     past = [truth.X]
     for k in range(200):
         X = truth.to(k * DT)
@@ -112,7 +112,7 @@ def test_with_calls_on_time_late_samples_cost_rounding_errors_alone():
 
 
 def test_samples_that_are_old_doubled_or_out_of_order_are_counted_and_not_used():
-    controller = motor(oldest=0.05)
+    controller = motor(max_sample_age=0.05)
     controller.step([0.5, 0.0], t=0.0)
     controller.step([0.5, 0.0], t=DT, sampled_at=0.0)  # doubled
     controller.step([0.5, 0.0], t=2 * DT, sampled_at=1.5 * DT)
@@ -411,7 +411,7 @@ def test_samples_that_are_late_are_brought_to_now_by_the_time_at_which_they_were
     """Of a plant and an output that time moves: five control steps of age, each other call without a sample."""
     observer = npred.observers.EKF(ROCKED, X0=[0.5, 0.0]) if observed else None
     controller = npred.controller(
-        ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history", observer=observer, gate=None
+        ROCKED, RK4(ROCKED, 41), None, DT, D_hat=0.2, actuator="history", observer=observer, outlier_limit=None
     )
     truth, past, worst = Truth(plant=ROCKED), [], 0.0
     for k in range(80):

@@ -132,7 +132,7 @@ def test_an_observer_of_the_delay_forgets_what_was_believed(value):
 
 @pytest.mark.parametrize("value", [1e155, 1e300])
 def test_an_observer_of_the_delay_begins_anew_where_its_errors_are_not_finite(value):
-    loop = estimating(constant(value), gate=None)
+    loop = estimating(constant(value), outlier_limit=None)
     assert np.isfinite(loop.one.memory.observer).all() and 0 <= loop.one.status.D_hat_spread < 0.3
 
 
@@ -140,7 +140,7 @@ def test_an_observer_of_the_delay_begins_anew_where_its_errors_are_not_finite(va
 def test_an_absurd_state_leaves_no_rate_of_the_delay_behind(value):
     plant, law = npred.plant("scalar"), npred.L1Adaptation(0.01, bounds=(0.1, 0.6))
     make = lambda: npred.controller(  # noqa: E731
-        plant, npred.predictor("heun", plant, nx=21), law, DT, D_hat=0.3, actuator="history", gate=None
+        plant, npred.predictor("heun", plant, nx=21), law, DT, D_hat=0.3, actuator="history", outlier_limit=None
     )
     one = make()
     for k in range(20):

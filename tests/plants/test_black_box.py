@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from jobs import job
 
+import npred
 from npred import plants, predictors
 from npred.diagnosis import check
 from npred.errors import ConfigError
 from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
-from npred.loop.controller import Controller
 from npred.plants.black_box import BlackBox
 from npred.runtimes import c_network, onnx
 from npred.stages.configuration import identity
@@ -119,7 +119,7 @@ def test_the_loop_is_that_of_the_traced_plant(plant, adaptation):
 
 
 def test_controller_steps_are_those_of_the_loop(plant):
-    controller = Controller(plant, predictors.numerical("rk4", plant, 11), LAW, 0.01, D_hat=0.25)
+    controller = npred.controller(plant, predictors.numerical("rk4", plant, 11), LAW, 0.01, D_hat=0.25)
     loop = simulate(plant, predictors.numerical("rk4", plant, 11), D=0.2, D_hat=0.25, X0=[0.1, 0, 0.05, 0], t_end=0.01,
                     dt=0.01, adaptation=LAW)  # fmt: skip
     np.testing.assert_allclose(controller.step([0.1, 0, 0.05, 0], np.zeros((11, 1))), loop.U[0], rtol=1e-14)

@@ -10,7 +10,6 @@ from c_controllers import needs_gcc
 import npred
 from npred import diagnosis
 from npred.errors import ConfigError
-from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.runtimes import c_controller
 
@@ -54,7 +53,11 @@ LAW = npred.DelayObserver(bounds=(0.1, 2.0), candidates=5)
 
 def controller(plant, **options):
     law = None if plant.declares_delay else LAW
-    return Controller(plant, npred.predictor("rk4", plant, 5), law, 0.01, actuator="history", u0=[1.0], **options)
+    return npred.controller(plant, npred.predictor("rk4", plant, 5), law, 0.01, actuator="history", u0=[1.0], **options)
+
+
+def bare(vat, law, dt):
+    return npred.controller(vat, npred.predictor("rk4", vat, 5), law, dt)
 
 
 def run(vat, **options):
@@ -105,9 +108,9 @@ def test_the_fmu(tmp_path, version):
     ("wrong", "expected"),
     [
         (lambda vat: controller(vat, D_hat=9.0), r"within the bounds \[0.1, 2\] h, got 9"),
-        (lambda vat: controller(vat, longest=1.0), "expected at least the largest delay, 2 h, got 1.0"),
-        (lambda vat: Controller(vat, npred.predictor("rk4", vat, 5), None, 0.01), "expected a delay in h, for nothing"),
-        (lambda vat: Controller(vat, npred.predictor("rk4", vat, 5), LAW, -1.0), "above 0, got -1.0; give a time in h"),
+        (lambda vat: controller(vat, history_length=1.0), "expected at least the largest delay, 2 h, got 1.0"),
+        (lambda vat: bare(vat, None, 0.01), "expected a delay in h, for nothing"),
+        (lambda vat: bare(vat, LAW, -1.0), "above 0, got -1.0; give a time in h"),
         (run, "a delay in h, got none"),
         (lambda vat: npred.controller(vat, npred.predictor("rk4", vat, 5), LAW, 0.01).restore({"D_hat": 1, "step": 0,
          "t0": np.inf}), "t: expected a finite time, got inf"),

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from operator_samples import SMALL, operator
 from scipy.integrate import solve_ivp
 
+import npred
 from npred import grid, plants, predictors
 from npred.delays import problem_of
 from npred.errors import ConfigError, DivergedError
 from npred.loop.closed_loop import simulate
-from npred.loop.controller import Controller
 from npred.predictors import RK4, Euler, Picard, Predictor
 from npred.registry import METHODS
 from npred.runtimes import predictor as predictor_of
@@ -238,7 +238,7 @@ def test_what_picard_was_asked_for_is_pickled():
 def test_predictors_and_controllers_work_in_a_process_that_was_spawned():
     u, X = np.zeros((21, 1)), [0.03, 30.0]
     runs = [RK4(PLANT, 21), predictor_of("torch", PLANT, operator(SMALL[1]), 21)]
-    controller = Controller(PLANT, runs[0], None, 0.01, D_hat=1.0)
+    controller = npred.controller(PLANT, runs[0], None, 0.01, D_hat=1.0)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         for run in runs:
             np.testing.assert_array_equal(pool.submit(run, X, u, 1.0).result(), run(X, u, 1.0))
@@ -250,7 +250,7 @@ def test_joblib_runs_predictors_and_controllers_in_processes():
     joblib = pytest.importorskip("joblib")
     u, X = np.zeros((21, 1)), [0.03, 30.0]
     run = RK4(PLANT, 21)
-    controller = Controller(PLANT, run, None, 0.01, D_hat=1.0)
+    controller = npred.controller(PLANT, run, None, 0.01, D_hat=1.0)
     with joblib.parallel_config(backend="loky"):
         calls = [joblib.delayed(run)(X, u, D_hat) for D_hat in (0.5, 1.0)]
         *predictions, U = joblib.Parallel(n_jobs=2)([*calls, joblib.delayed(controller.step)(X, u)])

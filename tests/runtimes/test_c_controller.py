@@ -15,7 +15,6 @@ from varying_delays import with_delay
 import npred
 from npred.errors import ConfigError, DivergedError
 from npred.loop.clock import STAMPS
-from npred.loop.controller import Controller
 from npred.runtimes import c_controller, c_files
 from npred.runtimes.fused import Fused
 
@@ -42,25 +41,26 @@ def controllers():
     }
     measured |= {"picard": npred.predictor("picard", PLANT, 21)}
     cases = {
-        name: (Controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0) for name, predictor in measured.items()
+        name: (npred.controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0)
+        for name, predictor in measured.items()
     }
     for name in ("deeponet", "fno", "deeponet, guard"):  # no data, no training: their loops converge where D is short
         law = npred.DelayAdaptation(1000.0, bounds=(0.05, 0.2))
-        cases[name] = (Controller(PLANT, measured[name], law, 0.01, D_hat=0.2), 0.1, X0)
-    cases["observer"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
-    cases["observer, measured"] = (Controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
+        cases[name] = (npred.controller(PLANT, measured[name], law, 0.01, D_hat=0.2), 0.1, X0)
+    cases["observer"] = (npred.controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
+    cases["observer, measured"] = (npred.controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
     cases["l1, history"] = (
-        Controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"),
+        npred.controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"),
         1.0, X0,
     )  # fmt: skip
-    cases["bounded"] = (Controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
-    cases["two delays"] = (Controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
+    cases["bounded"] = (npred.controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
+    cases["two delays"] = (npred.controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
     cases["two delays, guard"] = (
-        Controller(UNICYCLE, npred.guarded(turns, 1e-3), None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE,
+        npred.controller(UNICYCLE, npred.guarded(turns, 1e-3), None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE,
     )  # fmt: skip
-    cases["declared"] = (Controller(IN_SPACE, slow, None, 0.01, actuator="history"), IN_SPACE.delay, POSE)
+    cases["declared"] = (npred.controller(IN_SPACE, slow, None, 0.01, actuator="history"), IN_SPACE.delay, POSE)
     cases["declared, guard"] = (
-        Controller(IN_SPACE, npred.guarded(slow, 1e-3), None, 0.01, actuator="history"), IN_SPACE.delay, POSE,
+        npred.controller(IN_SPACE, npred.guarded(slow, 1e-3), None, 0.01, actuator="history"), IN_SPACE.delay, POSE,
     )  # fmt: skip
     return cases
 
@@ -202,7 +202,9 @@ class FaultyInPython(Faulty):
         try:
             return self.run.step(X).copy(), 0
         except DivergedError as refusal:
-            return None, 2 if "the prediction from X" in str(refusal) else 4 if "raise longest" in str(refusal) else 1
+            return None, 2 if "the prediction from X" in str(refusal) else 4 if "raise history_length" in str(
+                refusal
+            ) else 1
 
     def applied(self, U):
         self.run._engine.replace(U)
@@ -216,8 +218,8 @@ def test_wrong_samples_are_refused_and_predicted_over_as_in_python(cases, tmp_pa
     Believed samples are less far off: from 6 half widths one prediction makes 300 of a rounding error of 1e-15.
     """
     case, D, start = cases[name]
-    plant, named = case.plant, {"D_hat": case.D_hat, "actuator": "history", "gate": gate}
-    controller = Controller(plant, case.predictor, case.adaptation, 0.01, **named)
+    plant, named = case.plant, {"D_hat": case.D_hat, "actuator": "history", "outlier_limit": gate}
+    controller = npred.controller(plant, case.predictor, case.adaptation, 0.01, **named)
     size = 1.0 if gate else 0.1
     runs = Faulty(InC(library(controller, tmp_path), plant), plant, size), FaultyInPython(controller, plant, size)
     (X_c, U_c), (X, U) = (closed_loop(run, plant, D, 0.01, 300, start, False) for run in runs)
@@ -230,7 +232,9 @@ def test_wrong_samples_are_refused_and_predicted_over_as_in_python(cases, tmp_pa
 def test_samples_of_noise_alone_leave_no_history_that_each_step_is_refused_for(tmp_path, gate):
     """Of 20 000 standard normal samples, doubled, the C file of this plant once took 33."""
     plant = npred.plant("unicycle_time_delay")
-    controller = Controller(plant, npred.predictor("heun", plant, 21), None, 0.01, actuator="history", gate=gate)
+    controller = npred.controller(
+        plant, npred.predictor("heun", plant, 21), None, 0.01, actuator="history", outlier_limit=gate
+    )
     run = InC(library(controller, tmp_path), plant)
     samples = 2 * np.random.default_rng(0).standard_normal((5000, 3))
     assert [run.code(X) for X in samples] == [0] * 5000
@@ -280,7 +284,7 @@ def test_a_prediction_that_diverges_is_refused_as_in_python(tmp_path):
             return x.x**2
 
     plant = npred.plants.Plant("cube", Cube)
-    controller = Controller(
+    controller = npred.controller(
         plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01
     )
     run = InC(library(controller, tmp_path), plant)
@@ -433,7 +437,7 @@ def test_what_runs_in_python_is_refused():
         compiled = False
 
     with pytest.raises(ConfigError, match="expected a predictor that is compiled, got euler"):
-        c_controller.sources(Controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0))
+        c_controller.sources(npred.controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0))
 
 
 def test_the_example_of_the_documentation_compiles(tmp_path):
@@ -441,7 +445,7 @@ def test_the_example_of_the_documentation_compiles(tmp_path):
     examples = re.findall(r"^```C\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     (example,) = (text for text in examples if "every_5_ms" in text)
     heun = npred.predictor("heun", PLANT, 21)
-    files = c_controller.sources(Controller(PLANT, heun, PAPER, 0.005, D_hat=2.0))
+    files = c_controller.sources(npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0))
     for name, text in zip(("npred.h", "npred.c", "main.c"), (*files, example), strict=True):
         (tmp_path / name).write_text(text)
     start = "int main(void) { double X[2] = {0.03, 30}, u[21] = {0}, U[1] = {9};\n"
@@ -451,5 +455,5 @@ def test_the_example_of_the_documentation_compiles(tmp_path):
     command = ["gcc", *FLAGS, "-Wno-missing-prototypes", "run.c", "npred.c", "-o", "run", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
     done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True, timeout=60)
-    U = Controller(PLANT, heun, PAPER, 0.005, D_hat=2.0).step(X0, np.zeros((21, 1)))
+    U = npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0).step(X0, np.zeros((21, 1)))
     assert float(done.stdout) == pytest.approx(U[0], rel=1e-12)

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator, samples
 
+import npred
 from npred import exports
 from npred.errors import NpredError
 from npred.exports import WholeController
-from npred.loop.controller import Controller
 from npred.plants import Plant
 from npred.predictors import Heun
 from npred.runtimes import c_controller, c_files, c_network
@@ -51,7 +51,7 @@ def is_c(*texts):
 def check_controller(plant, state, entry, unit, prefix, model):
     try:
         named = Plant(plant, declaration(state, entry, unit))
-        controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
+        controller = npred.controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
         header, source = c_controller.sources(controller, prefix, model=model)
     except NpredError as error:
         assert len(str(error).splitlines()) == 1 and str(error).isprintable()
@@ -80,7 +80,7 @@ def check_fmu(plant, state, entry, unit, model):
         patch.setattr(c_files, "compiler", lambda: None)  # the sources alone
         try:
             named = Plant(plant, declaration(state, entry, unit))
-            controller = Controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
+            controller = npred.controller(named, Heun(named, 5), None, 0.1, D_hat=0.3, actuator="history")
             exports.writer("fmu", {})(WholeController(controller, model), Path(name) / "named.fmu")
         except NpredError as error:
             assert len(str(error).splitlines()) == 1 and str(error).isprintable()

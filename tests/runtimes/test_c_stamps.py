@@ -13,7 +13,6 @@ from varying_delays import with_delay
 
 import npred
 from npred.errors import ConfigError, DivergedError
-from npred.loop.controller import Controller
 from npred.plants import Plant
 
 pytestmark = needs_gcc
@@ -54,7 +53,7 @@ START[MOTOR.name] = [0.5, 0.0]
 
 def controller(plant, law=None, D_hat=0.2, nx=21, **named):
     D = None if plant.declares_delay else D_hat
-    return Controller(plant, npred.predictor("heun", plant, nx), law, DT, D_hat=D, actuator="history", **named)
+    return npred.controller(plant, npred.predictor("heun", plant, nx), law, DT, D_hat=D, actuator="history", **named)
 
 
 def watched(then):
@@ -68,13 +67,13 @@ def delays(bounds=(0.05, 0.4)):
 
 CASES = {
     "one input": lambda: controller(PAPER),
-    "two inputs": lambda: controller(UNICYCLE, oldest=0.08),
-    "no gate": lambda: controller(UNICYCLE, gate=None),
+    "two inputs": lambda: controller(UNICYCLE, max_sample_age=0.08),
+    "no gate": lambda: controller(UNICYCLE, outlier_limit=None),
     "declared": lambda: controller(IN_SPACE),
     "declared, watchdog": lambda: controller(IN_SPACE, watchdog=npred.Watchdog(6.5 * DT, "zero")),
     "law of phi": lambda: controller(PAPER, npred.L1Adaptation(0.01, bounds=(0.1, 0.5))),
     "observer of the delay": lambda: controller(MOTOR, delays()),
-    "guard": lambda: Controller(
+    "guard": lambda: npred.controller(
         PAPER, npred.guarded(npred.predictor("euler", PAPER, 21), 1e-5), None, DT, D_hat=0.2, actuator="history"
     ),
     **{f"watchdog, {then}": lambda then=then: watched(then) for then in REST},
@@ -83,7 +82,7 @@ CASES = {
     "EKF, offset, both": lambda: controller(
         MOTOR, delays(), observer=npred.observers.EKF(MOTOR, offset=True), watchdog=npred.Watchdog(0.2, "zero")
     ),
-    "EKF, no gate": lambda: controller(MOTOR, observer=npred.observers.EKF(MOTOR), gate=None),
+    "EKF, no gate": lambda: controller(MOTOR, observer=npred.observers.EKF(MOTOR), outlier_limit=None),
     "safety filter": lambda: controller(MOTOR, delays(), safety=npred.SafetyFilter(3.0, delay=0.02)),
     "safety filter, delay known": lambda: controller(MOTOR, safety=npred.SafetyFilter(3.0)),
     "safety filter, EKF, offset": lambda: controller(
@@ -159,7 +158,7 @@ class Pair:
             return self.python.memory.U[:, 0].copy(), 3
         except DivergedError as refusal:
             reason = str(refusal)
-            code = 2 if "the prediction from X" in reason else 4 if "raise longest" in reason else 1
+            code = 2 if "the prediction from X" in reason else 4 if "raise history_length" in reason else 1
             return self.python.memory.U[:, 0].copy(), code
 
     def state_of_c(self):
@@ -206,7 +205,7 @@ def play(pair, events):
     plant = pair.python.plant
     world, wide = World(plant), np.ptp([plant.box.get(name, (0.0, 1.0)) for name in plant.states], axis=1)
     observer, shift, latest = pair.python.observer, 0.0, 0.0
-    wide = wide * (0.6 if pair.python.gate else 0.1)
+    wide = wide * (0.6 if pair.python.outlier_limit else 0.1)
     sample = lambda X: X if observer is None else observer.measured(X)  # noqa: E731
     for k, (gap, what, old) in enumerate(events):
         if k:
@@ -273,7 +272,7 @@ def test_a_loop_on_a_clock_is_that_of_python(compiled, name):
     play(pair, events_of(np.random.default_rng(3), 400))
     status = pair.python.status
     assert status.late > 0 and pair.codes.count(0) > 300
-    assert status.refused > 0 or pair.python.gate is None or name == "Luenberger"
+    assert status.refused > 0 or pair.python.outlier_limit is None or name == "Luenberger"
     assert pair.handed > 0 or pair.python.watchdog is None
     assert pair.filtered > 0 or pair.python.safety is None
 

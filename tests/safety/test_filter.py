@@ -299,7 +299,7 @@ def test_a_controller_filters_as_the_simulated_loop(delay):
         CART, RK4(CART, 31), D=0.3, D_hat=0.3, X0=X0, t_end=3.0, dt=0.01, u0=[0.0], actuator="history", safety=safety
     )
     controller = npred.controller(
-        CART, RK4(CART, 31), None, 0.01, D_hat=0.3, u0=[0.0], actuator="history", safety=safety, gate=None
+        CART, RK4(CART, 31), None, 0.01, D_hat=0.3, u0=[0.0], actuator="history", safety=safety, outlier_limit=None
     )
     changed, kept = [], []
     for X, U in zip(loop.X, loop.U, strict=True):
@@ -368,7 +368,7 @@ def pushed(plant, push, D, delay, **named):
     """A controller whose observer finds an offset, and the mass after commands, by its parabolas."""
     dt = 0.01
     controller = npred.controller(
-        plant, RK4(plant, 31), None, dt, D_hat=D, u0=[0.0], actuator="history", gate=None,
+        plant, RK4(plant, 31), None, dt, D_hat=D, u0=[0.0], actuator="history", outlier_limit=None,
         safety=npred.SafetyFilter(3.0, delay=delay), observer=npred.observers.EKF(plant, offset=1.0, R=1e-8), **named,
     )  # fmt: skip
 

@@ -92,7 +92,7 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield f"the state estimated by {config.observer.kind}"
     if config.safety:
         yield f"limits kept by a filter with α = {config.safety.alpha:g}"
-    settings = dict(config.measurement).items()
+    settings = vars(config.measurement).items()
     if sensors := [f"{key} {_sensor(plant, key, value)}" for key, value in settings if np.any(value)]:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
