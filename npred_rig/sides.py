@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from npred import randomness
-from npred.config import Evaluate, Sensors
+from npred.config import Evaluate
 from npred.errors import DivergedError
 from npred.loop.controller import Controller
 from npred.loop.engine import advance_kernel
+from npred.loop.measurement import Sensors
 from npred.observers import Observer
 from npred.plants import Plant
 from npred.predictors import RK4
