@@ -35,7 +35,7 @@ def run(job: Job) -> Trained:
     task = _task(job, config, job.inputs["generate"] / "data.h5")
     with own_stream(task.test.X.device):
         metrics = training_loop.fit(task, job.scratch, job.progress)
-    save(job.folder, task.operator.to("cpu"), config, job.plant)
+    save(job.folder, task.operator.to("cpu"), config)
     lines = "".join(json.dumps(row) + "\n" for row in metrics)
     (job.folder / "metrics.jsonl").write_text(lines, encoding="utf-8")
     for epoch in config.snapshots:
