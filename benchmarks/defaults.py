@@ -11,8 +11,8 @@ import tempfile
 from pathlib import Path
 
 from npred import config, plants
+from npred.conditions import condition
 from npred.errors import ConfigError
-from npred.loop import delay_law
 from npred.stages import pipeline_fit
 
 TUTORIAL = Path(__file__).parent.parent / "docs" / "own_plant.md"
@@ -39,7 +39,7 @@ def row(name: str, D: float) -> tuple[float | None, str]:
         return None, "declares its delay: nothing is estimated"
     try:
         pipeline_fit.require(plant, pipeline, ("generate",))
-        law = delay_law.resolve(pipeline.evaluate, plant)
+        law = condition.adaptation(pipeline.evaluate, plant)
         return (law.gamma if law else None), "; ".join(pipeline_fit.doubts(plant, pipeline)) or "converges"
     except ConfigError as error:
         return None, str(error)

@@ -15,8 +15,9 @@ import numpy as np
 
 import npred
 from npred import config, grid
+from npred.conditions import condition
 from npred.data import shards
-from npred.loop import delay_law, metrics
+from npred.loop import metrics
 from npred.pipeline.models import load_data
 from npred.terminal.console import columns
 
@@ -72,7 +73,7 @@ def of_networks(models: list[str]) -> None:
     for model in models:
         network, pipeline = npred.load(model), model.rpartition(":")[0]
         data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
-        law = delay_law.resolve(config.load(pipeline).evaluate, network.plant)
+        law = condition.adaptation(config.load(pipeline).evaluate, network.plant)
         u = grid.refine(data.u, network.nx)
         exact = npred.predictor("rk4", network.plant, network.nx)(data.X, u, data.D_hat)
         both = network(data.X, u, data.D_hat), exact

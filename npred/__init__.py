@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from npred import laws as laws
     from npred import observers as observers
     from npred import plants as plants
-    from npred.api import guarded, load, plant, predictor
     from npred.diagnosis.delay_margin import delay_margin
     from npred.exports import export
     from npred.identification.identify import identify
@@ -28,7 +27,10 @@ if TYPE_CHECKING:
     from npred.loop.measurement import Measurement
     from npred.loop.timing import Timing
     from npred.loop.watchdog import Watchdog
-    from npred.predictors import Predictor
+    from npred.pipeline.models import load
+    from npred.plants import plant
+    from npred.predictors import Predictor, predictor
+    from npred.predictors.guarded import guarded
     from npred.runs import evaluate, generate, train
     from npred.safety import SafetyFilter
     from npred.stages.bench.comparison import compare
@@ -40,7 +42,7 @@ __all__ = [
     "guarded", "identify", "load", "plant", "predictor", "simulate", "train",
 ]  # fmt: skip
 
-_HOME = dict.fromkeys(__all__, "api") | {
+_HOME = {
     "DelayAdaptation": "loop.adaptation",
     "DelayLaw": "loop.delay_law",
     "DelayObserver": "loop.delay_observer",
@@ -56,7 +58,11 @@ _HOME = dict.fromkeys(__all__, "api") | {
     "controller": "loop.controller",
     "delay_margin": "diagnosis.delay_margin",
     "export": "exports",
+    "guarded": "predictors.guarded",
     "identify": "identification.identify",
+    "load": "pipeline.models",
+    "plant": "plants",
+    "predictor": "predictors",
     **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
     "simulate": "loop.closed_loop",
 }

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from npred.loop.controller import Controller
-    from npred.operators import TrainedOperator
+    from npred.operators.weights import TrainedOperator
     from npred.plants import Plant
 
 

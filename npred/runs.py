@@ -78,8 +78,8 @@ class MadeNetwork(Made[Trained]):
 
     def load(self, nx: int = 101, device: str = "cpu", runtime: str | None = None) -> Predictor:
         """The same for loops on nx nodes, on a device, in a runtime: see `npred.load`."""
-        from npred.api import loaded
         from npred.pipeline import Stored
+        from npred.pipeline.models import loaded
 
         device = devices.resolve(device)
         devices.require(device)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import api, figures, plants
+from npred import figures, plants
 from npred.cli import export
 from npred.cli.options import drawable, writable
 from npred.conditions import condition
@@ -19,7 +19,7 @@ from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop import HISTORY
 from npred.parallel import executors
-from npred.pipeline import load_model
+from npred.pipeline.models import load_model, loaded
 from npred.plants import Plant
 from npred.predictors import numerical
 from npred.predictors.guarded import Guarded
@@ -114,7 +114,7 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     exact = predictor = numerical(table.predictor, plant, table.nx)
     if options.model:
         stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
-        predictor = api.loaded(stored, table.nx, "cpu", None)
+        predictor = loaded(stored, table.nx, "cpu", None)
         predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
     age = max(OLDEST * table.dt, 2 * channel.longest)
     more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog)}

@@ -8,17 +8,19 @@ from typing import Any, Self
 import numpy as np
 
 from npred import plants
-from npred.config import Disturbance
+from npred.config import FROZEN, Disturbance
 from npred.config import Loop as LoopTable
+from npred.errors import ConfigError
 from npred.loop import closed_loop, delay_law
 from npred.loop.closed_loop import Trajectories
+from npred.loop.delay_law import DelayLaw
 from npred.loop.loop import Loop
 from npred.loop.measurement import Measurement, Observer
 from npred.loop.timing import Timing
 from npred.observers import Observer as StateObserver
 from npred.plants.base import Plant
 from npred.predictors import Predictor
-from npred.registry import OBSERVERS
+from npred.registry import DELAY_LAWS, OBSERVERS
 
 EVERY = 10  # control steps between two kept states, where nothing asks for more
 
@@ -69,14 +71,33 @@ class Condition:
 
 def compiled(plant: Plant, predictor: Predictor, table: LoopTable) -> bool:
     """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
-    law = delay_law.part(plant, delay_law.resolve(table, plant), table.dt)
+    law = delay_law.part(plant, adaptation(table, plant), table.dt)
     return closed_loop.compiled(plant, predictor, law)
+
+
+def adaptation(loop: LoopTable, plant: Plant) -> DelayLaw | None:
+    """The law of a stage's loops, made with their gamma, b and bounds, gamma suited to the plant where it is left out;
+    None for frozen, for a plant that declares its delay, and for data that are not simulated.
+
+    Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
+    """
+    if plant.declares_delay or loop.adaptation == FROZEN or not loop.simulated:
+        return None
+    kind = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
+    try:
+        gain = {} if loop.gamma is None else {"gamma": loop.gamma}
+        law = kind(**gain, b=loop.b, bounds=loop.bounds)
+    except TypeError as error:
+        what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
+        raise ConfigError(f"{what}, got: {error}; take them") from None
+    law.check(plant)
+    return law.suited(plant, loop.longest, loop.longest)
 
 
 def described(table: LoopTable, plant: Plant, predictor: Predictor) -> Loop:
     """The controller of a table, with u0 as it stands. Raises ConfigError for a part that does not fit."""
     return Loop(
-        plant=plant, predictor=predictor, dt=table.dt, adaptation=delay_law.resolve(table, plant), u0=table.u0,
+        plant=plant, predictor=predictor, dt=table.dt, adaptation=adaptation(table, plant), u0=table.u0,
         input_bounds=table.input_bounds, actuator=table.actuator, observer=observer(table, plant), safety=table.safety,
     )  # fmt: skip
 

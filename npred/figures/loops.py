@@ -6,11 +6,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from npred.conditions import condition
 from npred.figures.evaluation_data import EvaluationData, Histogram
 from npred.figures.figure import Figure, LegendEntry, Panel, legend
 from npred.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, positive, short
-from npred.loop import delay_law, lyapunov, metrics
+from npred.loop import lyapunov, metrics
 from npred.results import NUMERICAL, PredictorId
 
 GOAL: dict[str, Any] = DOTTED | {"linewidth": 0.8, "zorder": 0}
@@ -143,7 +144,7 @@ def ends(evaluation: EvaluationData) -> list[Panel]:
     panels = [Panel(title, alt, _curves(t, distance, timed(plant, "t")))]
     proven = {predictor: loop for predictor, loop in evaluation.loops.items() if np.isfinite(loop.N).any()}
     if proven:
-        law = delay_law.resolve(config, plant)
+        law = condition.adaptation(config, plant)
         gamma = law.gamma if law else 1.0
         W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
         falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())

@@ -4,7 +4,7 @@ import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -14,10 +14,6 @@ from npred.delays.family import Kernel
 from npred.errors import ConfigError
 from npred.plants.base import Plant
 from npred.predictors import RK4
-from npred.registry import DELAY_LAWS
-
-if TYPE_CHECKING:  # the tables of pipelines, which a loop in Python has no use for
-    from npred.config import Loop
 
 
 @dataclass(frozen=True)
@@ -109,27 +105,6 @@ def resolved(name: str, dt: float, D: np.ndarray) -> None:
 def delay(D: Any, D_hat: Any = 0.0) -> float:
     """The delay that a law is made for: the longest, else the longest estimate, else 1 s."""
     return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0
-
-
-def resolve(loop: "Loop", plant: Plant) -> DelayLaw | None:
-    """The law of a stage's loops, made with their gamma, b and bounds, gamma suited to the plant where it is left out;
-    None for frozen, for a plant that declares its delay, and for data that are not simulated.
-
-    Raises ConfigError, in one line, for a name, file or class that is missing, broken or no law.
-    """
-    from npred.config import FROZEN
-
-    if plant.declares_delay or loop.adaptation == FROZEN or not loop.simulated:
-        return None
-    kind = DELAY_LAWS.subclass("adaptation", loop.adaptation, DelayLaw)
-    try:
-        gain = {} if loop.gamma is None else {"gamma": loop.gamma}
-        law = kind(**gain, b=loop.b, bounds=loop.bounds)
-    except TypeError as error:
-        what = f"adaptation {loop.adaptation}: expected a law that takes gamma, b and bounds"
-        raise ConfigError(f"{what}, got: {error}; take them") from None
-    law.check(plant)
-    return law.suited(plant, loop.longest, loop.longest)
 
 
 class Part(NamedTuple):

@@ -3,10 +3,10 @@
 Weights are read without torch; what else is here are torch modules, imported on first use.
 """
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from npred.errors import imported
-from npred.operators.weights import Weights, describe, read
+from npred.operators.weights import TrainedOperator, Weights, describe, read
 
 if TYPE_CHECKING:
     from npred.operators.base import Operator as Operator
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from npred.operators.scaling import Scaling as Scaling
 
 __all__ = ["Operator", "Scaling", "TrainedOperator", "Weights", "build", "checked", "describe", "load", "read", "save"]
-
-TrainedOperator: TypeAlias = "Weights | Operator"  # both have weights(), module(plant), double() and a domain
 
 _HOME: dict[str, str] = {
     "Operator": "base", "build": "base", "checked": "base", "load": "io", "save": "io", "Scaling": "scaling",

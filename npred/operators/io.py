@@ -21,7 +21,10 @@ from npred.registry import in_file
 def save(folder: Path, operator: Operator, config: Training) -> None:
     """Write model.safetensors, model.json: the network's name and its table; and its domain."""
     config = config.moved(lambda path: Path(path).name)
-    manifest = {"model": config.architecture, "config": config.model_dump(mode="json")}
+    manifest = {
+        "model": config.architecture, "anchor": config.anchor, "arguments": config.arguments,
+        "config": config.model_dump(mode="json"),
+    }  # fmt: skip
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     save_weights(folder / weights(), operator)
     if operator.domain:

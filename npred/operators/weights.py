@@ -4,24 +4,49 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file
 
 from npred import json_files, registry
-from npred.config import Anchor, Network, Train, Training
 from npred.data.domain import Domain
 from npred.errors import ConfigError, StoreError, first_line, imported
 from npred.operators import layouts
 from npred.plants.base import Plant
 from npred.registry import NETWORKS, in_file
 
-if TYPE_CHECKING:
-    from npred.operators.base import Operator
-
 MANIFEST = "model.json"
+
+
+class NetworkTable(Protocol):
+    """What a network is built from: its name in the registry, its anchor, the keyword arguments of its class."""
+
+    @property
+    def architecture(self) -> str: ...
+    @property
+    def anchor(self) -> str: ...
+    @property
+    def arguments(self) -> Mapping[str, Any]: ...
+
+
+class SavedTable(NamedTuple):
+    """The table that model.json has."""
+
+    architecture: str
+    anchor: str
+    arguments: Mapping[str, Any]
+
+
+class TrainedOperator(Protocol):
+    """A trained operator: Weights, or the torch module."""
+
+    domain: Any
+
+    def weights(self) -> "Weights": ...
+    def module(self, plant: Plant) -> Any: ...
+    def double(self) -> Any: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +57,10 @@ class Weights:
     """
 
     architecture: str
-    anchor: Anchor
+    anchor: str
     arrays: Mapping[str, np.ndarray]
     domain: Domain | None = None
-    table: Training | None = None
+    table: NetworkTable | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.arrays[name]
@@ -44,7 +69,7 @@ class Weights:
         """Itself; an Operator gives its weights."""
         return self
 
-    def module(self, plant: Plant) -> "Operator":
+    def module(self, plant: Plant) -> Any:
         """The torch module, on the CPU and ready for use. Raises MissingError without torch."""
         return imported(f"network {self.architecture}", "npred.operators.base").filled(self, plant)
 
@@ -82,8 +107,9 @@ def describe(folder: Path) -> dict[str, Any]:
 
 
 def read(
-    folder: Path, plant: Plant, snapshot: int | None = None, precision: Any = np.float32, table: Training | None = None
-) -> "Weights | Operator":  # fmt: skip
+    folder: Path, plant: Plant, snapshot: int | None = None, precision: Any = np.float32,
+    table: NetworkTable | None = None,
+) -> TrainedOperator:  # fmt: skip
     """The saved operator as it ended, or as it stood after `snapshot` epochs: a torch module where it has no fused
     form.
 
@@ -114,7 +140,7 @@ def read(
     return as_saved if precision == np.float32 else as_saved.exact(plant)
 
 
-def untrained(table: Training, plant: Plant, rng: np.random.Generator) -> Weights:
+def untrained(table: NetworkTable, plant: Plant, rng: np.random.Generator) -> Weights:
     """Random weights of a network with a fused form: what a call of it takes, before there are data."""
     anchor = table.anchor if plant.rest else "initial"
     arrays = {
@@ -125,7 +151,7 @@ def untrained(table: Training, plant: Plant, rng: np.random.Generator) -> Weight
     return Weights(table.architecture, anchor, arrays | ones, None, table)
 
 
-def _shapes(table: Training, plant: Plant) -> layouts.Shapes:
+def _shapes(table: NetworkTable, plant: Plant) -> layouts.Shapes:
     """The shape of each array of a network with a fused form."""
     layout = registry.attribute(NETWORKS.builtin[table.architecture].layout)
     network = layout(plant.n, plant.m, 2 if plant.phased else 0, **table.arguments)
@@ -134,7 +160,7 @@ def _shapes(table: Training, plant: Plant) -> layouts.Shapes:
     return shapes | {"X_rest": (plant.n,), "u_rest": (plant.m,)}
 
 
-def check_anchor(anchor: Anchor, plant: Plant) -> None:
+def check_anchor(anchor: str, plant: Plant) -> None:
     """Raise ConfigError for the anchor `equilibrium` on a plant without one."""
     if anchor == "equilibrium" and not plant.rest:
         raise ConfigError(f"anchor: expected a plant with an equilibrium, {plant.name} has none; use 'initial'")
@@ -159,13 +185,13 @@ def check(expected: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
             raise ValueError(f"{name}: expected {expected.get(name)}, got {kinds.get(name)}")
 
 
-def _table(folder: Path) -> Training:
+def _table(folder: Path) -> SavedTable:
     manifest = describe(folder)
     try:
-        model, values = manifest["model"], manifest["config"]
-        kind: Any = Network if "network" in values else Train.model_fields[model].annotation
-        table = kind.model_validate(values)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        table = SavedTable(str(manifest["model"]), str(manifest["anchor"]), dict(manifest["arguments"]))
+        if not in_file(table.architecture) and table.architecture not in NETWORKS.names():
+            raise ValueError(table.architecture)
+    except (KeyError, TypeError, ValueError) as error:
         reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
         raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None
     if in_file(table.architecture):

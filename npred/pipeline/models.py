@@ -3,11 +3,15 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from npred import config, defaults, plants
+import numpy as np
+
+from npred import config, defaults, operators, plants, progress, runtimes
 from npred.config import Training
 from npred.errors import ConfigError, unlisted
+from npred.parallel import devices
 from npred.pipeline.stage_registry import Planner, nodes
 from npred.plants import Plant
+from npred.predictors import Predictor
 from npred.results import PredictorId
 from npred.stages.configuration import identity
 from npred.store import Artifact, Store
@@ -23,6 +27,33 @@ class Stored(NamedTuple):
     snapshot: int | None
     plant: Plant
     config: Training | None
+
+
+def load(
+    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str | None = None
+) -> Predictor:
+    """A trained model as a predictor.
+
+    The compiled function is made at its first use in a loop or controller and kept on the disk. On a GPU, and for a
+    network of yours, torch does all. Files are verified against their digests. The plant is the pipeline's, or, for an
+    artifact, the built-in one of that name: a plant's file is code and is run only when a pipeline names it.
+
+    Raises ConfigError for a model or a runtime that is not there; StoreError for corrupt results; MissingError for a
+    device or an extra that this machine lacks.
+    """
+    if not isinstance(model, str | Path):
+        raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
+    device = devices.resolve(device)
+    devices.require(device)
+    return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
+
+
+def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predictor:
+    """A trained model of the store as a predictor; see `load`."""
+    with progress.announce(f"loading network {stored.model}", often="once per process"):
+        precision = np.float64 if runtime in (None, "torch") else np.float32
+        operator = operators.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
+        return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 
 def load_model(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Stored:

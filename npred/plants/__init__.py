@@ -17,6 +17,14 @@ from npred.plants.black_box import BlackBox
 Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its name with what it takes
 
 
+def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
+    """The plant of a built-in name, of a file or of a class, with parameters overridden.
+
+    Raises ConfigError for a name, a file or a law that is not there, and for a class that declares no plant.
+    """
+    return resolve(name, parameters, kappa)
+
+
 def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
     """The plant of a built-in or installed name, of `file.py:Class` or of a class, with parameters overridden.
 

@@ -1,13 +1,13 @@
 """Predictors: maps from (X, u, D_hat) to P."""
 
 from npred.errors import ConfigError
-from npred.plants.base import Plant
+from npred.plants.base import Plant, require
 from npred.predictors.base import Compiled, OneStep, Predictor
 from npred.predictors.picard import Picard
 from npred.predictors.runge_kutta import RK4, Euler, Heun
 from npred.registry import METHODS
 
-__all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical"]
+__all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical", "predictor"]
 
 
 def method(spec: str, what: str = "predictor") -> type[Predictor]:
@@ -19,6 +19,15 @@ def method(spec: str, what: str = "predictor") -> type[Predictor]:
     if spec not in METHODS.builtin and issubclass(kind, OneStep):
         kind.evaluations()
     return kind
+
+
+def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
+    """The numerical predictor of a plant, on nx nodes in a loop [DAPF, eq. 10].
+
+    Raises ConfigError for an unknown or broken method, for fewer than two nodes, or for what is no plant.
+    """
+    require(plant)
+    return numerical(method, plant, nx)
 
 
 def numerical(spec: str, plant: Plant, nx: int = 101) -> Predictor:

@@ -275,3 +275,16 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
 def bare(predictor: Predictor) -> Predictor:
     """The model inside a guarded predictor; any other predictor itself."""
     return getattr(predictor, "model", predictor)
+
+
+def guarded(
+    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
+) -> Predictor:  # fmt: skip
+    """`model`, checked in every call: `exact` answers where |kappa(P̂(1)) - kappa(P(1))| is estimated to be above
+    `tolerance`; see Guarded.
+
+    A pass is an estimate, not a bound: docs/guard.md says what an adversary finds.
+
+    Raises ConfigError for a tolerance that is not above 0, and for a model on fewer than five nodes.
+    """
+    return Guarded(model, tolerance, by, exact=exact)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from npred.delays import problem_of
-from npred.operators import TrainedOperator
+from npred.operators.weights import TrainedOperator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.predictors.runge_kutta import RK4

@@ -16,7 +16,7 @@ from npred.kernels.formula import Strided, vector
 from npred.kernels.functions import Formulas
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import metrics
-from npred.operators import TrainedOperator
+from npred.operators.weights import TrainedOperator
 from npred.plants.base import Plant
 from npred.runtimes import Samples, c_files, eps
 from npred.runtimes.fused import Loaded, fold, kernel, require

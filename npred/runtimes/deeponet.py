@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from npred.operators import Weights, matrices
+from npred.operators import matrices
+from npred.operators.weights import Weights
 from npred.runtimes.program import Dots, Layers, Matrix, Mirror, Product, Program, Repeat, Silu, SiluPair, mlp
 
 PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every node is evaluated

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from npred import grid
-from npred.operators import Weights, matrices
+from npred.operators import matrices
+from npred.operators.weights import Weights
 from npred.runtimes.program import (
     Dots,
     Matrix,

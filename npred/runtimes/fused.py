@@ -16,10 +16,10 @@ from npred.delays import family, problem_of
 from npred.errors import ConfigError, installed
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.operators import TrainedOperator, Weights
+from npred.operators.weights import TrainedOperator, Weights
 from npred.plants.base import Plant
 from npred.predictors.base import Compiled, Predictor
-from npred.registry import NETWORKS
+from npred.registry import NETWORKS, RUNTIMES
 from npred.runtimes.program import Matrix, Program
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
@@ -94,9 +94,8 @@ class Loaded(Predictor):
         """The operator as calls evaluate it."""
         if not installed("torch"):
             return Fused(self.plant, self.operator, self.nx, self.name, stride=1, precision=np.float64)
-        from npred.predictors.neural import Neural
-
-        return Neural(self.plant, self.operator, self.nx, name=self.name)
+        torch = RUNTIMES.subclass("runtime", "torch", Predictor)
+        return torch(self.plant, self.operator, self.nx, name=self.name)
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
         return self.calls.predict(X, u, D_hat, t)

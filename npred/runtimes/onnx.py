@@ -17,7 +17,6 @@ from npred import grid
 from npred.delays import problem_of
 from npred.errors import NpredError, required
 from npred.exports import Exported, TrainedNetwork
-from npred.operators import Operator
 from npred.plants.base import Plant
 from npred.predictors.base import Predictor
 from npred.runtimes import eps
@@ -33,7 +32,7 @@ class Deployed(nn.Module):
     phase of t, and U_j = kappa_j(P(r_j), t + r_j D_hat) as in the closed loop; P(r_j) is cubic between nodes.
     """
 
-    def __init__(self, operator: Operator, plant: Plant):
+    def __init__(self, operator: Any, plant: Plant):
         super().__init__()
         self.operator, self.plant, self.period = operator, plant, plant.period if plant.phased else None
 
@@ -54,7 +53,7 @@ def inputs(plant: Plant) -> tuple[str, ...]:
     return INPUTS if plant.rests and not plant.phased else (*INPUTS, "t")
 
 
-def graph(operator: Operator, plant: Plant, nx: int) -> bytes:
+def graph(operator: Any, plant: Plant, nx: int) -> bytes:
     """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
 
     Raises MissingError without the onnx extra, ConfigError where the plant is not traced, its time has no period, or a
@@ -103,7 +102,7 @@ class Onnx(Predictor):
     The graph holds for a grid; another nx in a call makes another one. Raises MissingError without the onnx extra.
     """
 
-    def __init__(self, plant: Plant, operator: Operator, nx: int = 101, name: str = "neural", device: str = "cpu"):
+    def __init__(self, plant: Plant, operator: Any, nx: int = 101, name: str = "neural", device: str = "cpu"):
         super().__init__(plant, nx)
         self.name = name  # type: ignore[misc]
         self.operator, self.graphs, self.sessions = operator.to("cpu").float().eval(), {}, {}

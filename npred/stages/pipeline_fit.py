@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from npred import array_checks, diagnosis, plants, predictors
-from npred.conditions import Condition
+from npred.conditions import Condition, condition
 from npred.conditions.condition import observer
 from npred.config import FROZEN, PAPER, Loop, Pipeline, Scenario
 from npred.delays import problem_of
@@ -70,7 +70,7 @@ class PipelineFit:
     def _adaptive(self, case: Case) -> AdaptiveLoops:
         """The loops of [evaluate], from its start and others of the box."""
         table = self.pipeline.evaluate
-        law = delay_law.resolve(table, self.plant)
+        law = condition.adaptation(table, self.plant)
         assert isinstance(law, DelayAdaptation)
         X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat0, *table.case_D_hat0}))
         X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == self.plant.n else X0
@@ -80,8 +80,8 @@ class PipelineFit:
     def _simulated(self, loops: AdaptiveLoops, adaptation: str, rk4: predictors.RK4, every: int) -> Trajectories:
         settings = {"gamma": loops.law.gamma, "dt": loops.dt, "adaptation": adaptation}
         table = self.pipeline.evaluate.model_copy(update=settings)
-        condition = Condition(table, loops.X0[:, None], loops.D, loops.D_hat, loops.seconds, seed=0)
-        return condition.loops(self.plant, rk4, every=every)
+        asked = Condition(table, loops.X0[:, None], loops.D, loops.D_hat, loops.seconds, seed=0)
+        return asked.loops(self.plant, rk4, every=every)
 
 
 def check(
@@ -268,7 +268,7 @@ def parts(fit: PipelineFit) -> None:
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     tables = [*fit.loops.values(), *(fit.pipeline.evaluate.under(scenario) for scenario in fit.scenarios)]
     for loop in tables:
-        delay_law.resolve(loop, fit.plant)
+        condition.adaptation(loop, fit.plant)
         estimator = observer(loop, fit.plant)
         loop.measurement.check(fit.plant, estimator and len(estimator.outputs))
         if loop.timing or estimator:

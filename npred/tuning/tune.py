@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from npred import randomness
+from npred.conditions import condition
 from npred.config import Pipeline, Tune
 from npred.errors import ConfigError, unlisted
-from npred.loop import delay_law
 from npred.plants import Plant
 from npred.results import JudgedLoops, Tuned, TunedNumber
 from npred.terminal import interruption
@@ -39,7 +39,7 @@ class Ranges:
     @classmethod
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
         """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
-        law = delay_law.resolve(pipeline.evaluate, plant)
+        law = condition.adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
         weights = LqrWeights.of(plant)
         chosen = weights.named(chosen) if weights else chosen
