@@ -18,9 +18,10 @@ from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
-from npred.config import Pipeline
-from npred.pipeline import STAGES, Node, Planner
-from npred.store import Store
+from npred.lab.config import Pipeline
+from npred.lab.scheduler.plan import Node
+from npred.lab.scheduler.stage_registry import STAGES, Planner
+from npred.lab.store import Store
 
 Call = Callable[..., Result]
 if "NPRED_TEST_GPU" not in os.environ:

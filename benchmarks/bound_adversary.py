@@ -15,9 +15,9 @@ import numpy as np
 from guard_adversary import READINGS, SIZE, SYSTEMS, Calls, Population, Ranges, System, by_dop853, by_rk4, most
 
 import npred
-from npred.data import shards
-from npred.pipeline.models import load_data
-from npred.predictors.guarded import Guarded
+from npred.guard.guarded import Guarded
+from npred.lab.scheduler.models import load_data
+from npred.lab.training.data import shards
 from npred_experiments.bounds import ErrorBound
 
 TOGETHER, GENERATIONS = 20, 50  # populations side by side

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 import npred
-from npred import runtimes
+from npred import networks as runtimes
 
 T_END, DT, NX = 100.0, 0.005, 101
 

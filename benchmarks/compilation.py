@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from npred.terminal.console import columns
+from npred.lab.report.terminal.console import columns
 
 HERE = Path(__file__).resolve().parent
 PLANTS = ("activator_repressor", "planar_arm2", "planar_arm5", "planar_arm7")

@@ -10,10 +10,11 @@ import sys
 import tempfile
 from pathlib import Path
 
-from npred import config, plants
-from npred.conditions import condition
-from npred.errors import ConfigError
-from npred.stages import pipeline_fit
+from npred import plants
+from npred.base.errors import ConfigError
+from npred.lab import config
+from npred.lab.config.conditions import condition
+from npred.lab.scheduler import pipeline_fit
 
 TUTORIAL = Path(__file__).parent.parent / "docs" / "own_plant.md"
 SECONDS = {  # D of the plants' pipelines and pages, else 0.5 s

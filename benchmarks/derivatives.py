@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred import config, grid
-from npred.conditions import condition
-from npred.data import shards
+from npred.base import grid
+from npred.lab import config
+from npred.lab.config.conditions import condition
+from npred.lab.report.terminal.console import columns
+from npred.lab.scheduler.models import load_data
+from npred.lab.training.data import shards
 from npred.loop import metrics
-from npred.pipeline.models import load_data
-from npred.terminal.console import columns
 
 FIRST = (0.3, 0.5, 1.0, 1.5, 2.0, 3.5)  # s: D_hat(0)
 

@@ -16,9 +16,9 @@ from guard_adversary import FINE, SYSTEMS, Calls, by_rk4, command, gap
 from hostile import NX, conditions
 
 import npred
-from npred import config
-from npred.predictors import Predictor
-from npred.predictors.guarded import Guarded
+from npred.guard.guarded import Guarded
+from npred.lab import config
+from npred.prediction.methods import Predictor
 
 CALLS = 3000
 HEAD = ["class", "fallback", "wrong", "outside", "read", "median error", "median estimate"]

@@ -29,11 +29,11 @@ import matplotlib.figure
 import torch
 
 from npred.cli import main as npred
-from npred.stages.bench import bench
-from npred.stages.evaluate import evaluate
-from npred.stages.generate import generate
-from npred.stages.train import train
-from npred.store import Artifact, Store
+from npred.lab.stages.bench import bench
+from npred.lab.stages.evaluate import evaluate
+from npred.lab.stages.generate import generate
+from npred.lab.stages.train import train
+from npred.lab.store import Artifact, Store
 
 WARM = (h5py, matplotlib, torch, bench, evaluate, generate, train)
 SIZES = (40, 100, 200, 300, 400, 500, 700)  # KiB of the disks that are too small

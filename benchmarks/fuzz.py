@@ -23,8 +23,8 @@ from pathlib import Path
 
 from fuzz_kinds import Target, Wrong, targets
 
-from npred.errors import NpredError
-from npred.terminal.console import columns
+from npred.base.errors import NpredError
+from npred.lab.report.terminal.console import columns
 
 SECONDS = 10
 MEMORY = 2**30

@@ -10,13 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from npred import config, operators, plants
-from npred.config import FNO, DeepONet
-from npred.data.dataset import MEANING, Dataset
-from npred.errors import NpredError, StoreError
-from npred.pipeline import STAGES, Planner, nodes
-from npred.store import Artifact, Question, Store
-from npred.store.manifest import sha256
+from npred import plants
+from npred.base.errors import NpredError, StoreError
+from npred.lab import config
+from npred.lab.config import FNO, DeepONet
+from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
+from npred.lab.store import Artifact, Question, Store
+from npred.lab.store.manifest import sha256
+from npred.lab.training import operators
+from npred.lab.training.data.dataset import MEANING, Dataset
 
 PAYLOAD = b"payload" * 99
 TOKENS = (

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 import npred
-from npred.errors import DivergedError
+from npred.base.errors import DivergedError
+from npred.exports import c_controller, fmu
 from npred.loop import engine
 from npred.loop.actuator import actuate, history
 from npred.loop.controller import Controller
 from npred.plants.inputs import Past
-from npred.predictors import RK4
-from npred.runtimes import c_controller, fmu
+from npred.prediction.methods import RK4
 
 # dt, D where the plant has none, the length of a loop, all in the plant's time, and BAND
 PLANTS = {

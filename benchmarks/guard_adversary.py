@@ -30,13 +30,13 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import npred
-from npred import grid
-from npred.data import shards
-from npred.data.dataset import Dataset
-from npred.delays import family, problem_of
-from npred.pipeline.models import load_data
-from npred.predictors import RK4
-from npred.predictors.guarded import Guarded
+from npred.base import grid
+from npred.guard.guarded import Guarded
+from npred.lab.scheduler.models import load_data
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import Dataset
+from npred.prediction.delays import family, problem_of
+from npred.prediction.methods import RK4
 
 READINGS = ("linear", "cubic", "constant", "means")
 COARSE, FINE = 2, 16  # steps of RK4 a cell: to search by, and to count by; even, so that a reading's jumps are between

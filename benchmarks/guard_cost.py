@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 import npred
-from npred import grid
-from npred.data import shards
-from npred.delays import family
+from npred.base import grid
+from npred.base.registry import METHODS
+from npred.guard.guarded import Guarded
 from npred.kernels import kernel
+from npred.lab.scheduler.models import load_data, load_model
+from npred.lab.stages.bench import candidates, timing
+from npred.lab.training.data import shards
 from npred.loop import metrics
-from npred.pipeline.models import load_data, load_model
-from npred.predictors import OneStep, Predictor, method
-from npred.predictors.guarded import Guarded
-from npred.registry import METHODS
-from npred.stages.bench import candidates, timing
+from npred.prediction.delays import family
+from npred.prediction.methods import OneStep, Predictor, method
 
 PROBES = 64
 NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
@@ -89,7 +89,7 @@ def main() -> None:
     data = shards.survey(load_data(arguments.model.rpartition(":")[0], store).folder / "data.h5").subset(test=True)
     reference = candidates.Reference.of(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
-    rivals = [kind for kind in rivals if not npred.delays.problem_of(stored.plant).refusal(kind.name)]
+    rivals = [kind for kind in rivals if not npred.prediction.delays.problem_of(stored.plant).refusal(kind.name)]
     for nx in arguments.nx:
         net = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=nx)
         guard = Guarded(net, arguments.tolerance)

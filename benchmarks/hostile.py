@@ -16,15 +16,16 @@ from pathlib import Path
 import numpy as np
 
 import npred
-from npred import config, metrics
-from npred.conditions import EVERY, Condition, box
-from npred.conditions.scenarios import delay
-from npred.config import FROZEN, Evaluate, Scenario
-from npred.config.evaluate import Jump
-from npred.config.loop import Sensors
+from npred import metrics
+from npred.guard.guarded import Guarded
+from npred.lab import config
+from npred.lab.config import FROZEN, Evaluate, Scenario
+from npred.lab.config.conditions import EVERY, Condition, box
+from npred.lab.config.conditions.scenarios import delay
+from npred.lab.config.evaluate import Jump
+from npred.lab.config.loop import Sensors
 from npred.plants import Plant
-from npred.predictors import Predictor
-from npred.predictors.guarded import Guarded
+from npred.prediction.methods import Predictor
 
 NX = 51
 

@@ -16,7 +16,7 @@ from delay_estimators import ESTIMATORS
 from simulated_logs import KINDS, WHY, Sample, excited, silent
 
 from npred import plants
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.identification.identify import identify
 
 MAIN = [name for name in KINDS if name != "mixer"]

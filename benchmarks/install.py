@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from npred.terminal.console import columns
+from npred.lab.report.terminal.console import columns
 
 ROOT = Path(__file__).parents[1]
 REPEATS = 9

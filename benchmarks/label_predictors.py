@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from npred import config, grid, plants
-from npred.delays import problem_of
-from npred.predictors import OneStep, Predictor, method
-from npred.registry import METHODS
-from npred.stages.generate import rollouts
+from npred import plants
+from npred.base import grid
+from npred.base.registry import METHODS
+from npred.lab import config
+from npred.lab.stages.generate import rollouts
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import OneStep, Predictor, method
 
 FINER = 4
 

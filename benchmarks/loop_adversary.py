@@ -21,10 +21,11 @@ import cma
 import numpy as np
 
 import npred
-from npred import config, metrics
-from npred.conditions import Condition, box
+from npred import metrics
+from npred.lab import config
+from npred.lab.config.conditions import Condition, box
 from npred.plants import Plant
-from npred.predictors import Predictor
+from npred.prediction.methods import Predictor
 
 SPANS, SPOOFED = 8, 4
 ATTACKED = 0.3  # of the time: loops may settle in the rest

@@ -11,10 +11,12 @@ import warnings
 import numpy as np
 import torch
 
-from npred import operators, plants, runtimes
-from npred.config import FNO
-from npred.operators import Scaling
-from npred.stages.bench import timing
+from npred import networks as runtimes
+from npred import plants
+from npred.lab.config import FNO
+from npred.lab.stages.bench import timing
+from npred.lab.training import operators
+from npred.lab.training.operators import Scaling
 
 GRIDS, CALLS, SECONDS = (101, 1001), 2000, 4.0
 

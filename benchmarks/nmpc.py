@@ -50,7 +50,7 @@ from limits import Arm, Pole
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
-from npred import randomness
+from npred.base import randomness
 from npred.plants import Plant
 from npred.plants.builtin import cart_pole, pvtol
 

@@ -71,9 +71,10 @@ def operations() -> dict[str, Made]:
 
 
 def _fused(network: str, nx: int, precision: type = np.float32) -> Any:
-    from npred import config, plants
-    from npred.operators.weights import untrained
-    from npred.runtimes.fused import Fused
+    from npred import plants
+    from npred.lab import config
+    from npred.networks.fused import Fused
+    from npred.networks.weights import untrained
 
     plant = plants.resolve("activator_repressor")
     weights = untrained(config.Train().table(network), plant, np.random.default_rng(0))
@@ -130,7 +131,7 @@ def exported_step() -> Call:
     """Ten steps of a controller in C, through one call."""
     import ctypes
 
-    from npred.runtimes import c_controller
+    from npred.exports import c_controller
 
     folder = Path(tempfile.mkdtemp())
     for file, text in zip(("npred.h", "npred.c"), c_controller.sources(_controller()), strict=True):
@@ -154,8 +155,9 @@ def loop(lanes: int) -> Call:
 
 
 def generate() -> Call:
-    from npred import config, plants
-    from npred.stages.generate import rollouts
+    from npred import plants
+    from npred.lab import config
+    from npred.lab.stages.generate import rollouts
 
     pipeline, plant = config.parse({"plant": "activator_repressor"}, "paired"), plants.resolve("activator_repressor")
     table = pipeline.generate.model_copy(update={"rollouts": 20, "samples": 2000})

@@ -19,12 +19,12 @@ from pathlib import Path
 import numpy as np
 
 import npred
+from npred.base import devices
 from npred.kernels import compiler
 from npred.kernels.kernel import address, bound
-from npred.parallel import devices
-from npred.runtimes.fused import coarsest, fold
-from npred.runtimes.program import Dots, Operation, Product, Program, Repeat, Silu, SiluPair
-from npred.stages.bench import timing
+from npred.lab.stages.bench import timing
+from npred.networks.fused import coarsest, fold
+from npred.networks.program import Dots, Operation, Product, Program, Repeat, Silu, SiluPair
 
 SILU, PAIR = 16, 24  # operations of an activation that wait: scaling, a polynomial of five terms, a division
 RUNS = 200

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Figure, LegendEntry, Panel, write
-from npred.figures.style import MEDIA, LineStyle, log
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, write
+from npred.lab.report.figures.style import MEDIA, LineStyle, log
 
 SIZES = (10_000, 100_000, 300_000, 1_000_000, 3_000_000, 10_000_000)
 SHARE = 200  # samples a rollout

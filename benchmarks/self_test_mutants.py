@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 import npred
+from npred.exports import c_controller, self_test
 from npred.kernels.c_text import constant
 from npred.loop.controller import Controller
-from npred.runtimes import c_controller, self_test
 
 ON = "(npred_mutant == {k})"
 NUMBER = r"(?:\d+\.\d*(?:e[+-]?\d+)?f?|\d+e[+-]?\d+f?)"

@@ -37,14 +37,15 @@ COMMANDS = {
     "run": f"run smoke -q --jobs 2 {SETS}",
 }
 LIBRARIES = (
-    "torch, h5py, scipy, matplotlib.figure, npred.cli.execute, npred.cli.inspect, npred.stages.train.train, "
-    "npred.stages.generate, npred.stages.evaluate.evaluate, npred.stages.bench.bench, npred.stages.report.report"
+    "torch, h5py, scipy, matplotlib.figure, npred.cli.execute, npred.cli.inspect, npred.lab.stages.train.train, "
+    "npred.lab.stages.generate, npred.lab.stages.evaluate.evaluate, npred.lab.stages.bench.bench, "
+    "npred.lab.stages.report.report"
 )
 # The program: says on descriptor READY that it listens, then is `npred`. With WARM it forks one for each line on stdin.
 PROGRAM = f"""
 import os, signal, sys
 def command(ready, arguments):
-    from npred.terminal import interruption
+    from npred.lab.report.terminal import interruption
     interruption.listen()
     os.write(ready, b"!")
     sys.argv = ["npred", *arguments]

@@ -21,12 +21,14 @@ import mujoco
 import numpy as np
 
 import npred
-from npred import config, plants, randomness
+from npred import plants
+from npred.base import randomness
+from npred.lab import config
+from npred.lab.stages.bench import timing
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.predictors import Predictor
-from npred.predictors.rollout import Rollout
-from npred.stages.bench import timing
+from npred.prediction.methods import Predictor
+from npred.prediction.methods.rollout import Rollout
 from npred_robots.mjcf import LEFT_OUT
 
 STARTS = 12

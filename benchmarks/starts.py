@@ -21,12 +21,14 @@ import numpy as np
 import torch
 
 import npred
-from npred import config, grid, metrics
-from npred.conditions import Condition
-from npred.predictors import Predictor
-from npred.predictors.neural import Neural
-from npred.runtimes.fused import Fused
-from npred.stages.generate import sampling
+from npred import metrics
+from npred.base import grid
+from npred.lab import config
+from npred.lab.config.conditions import Condition
+from npred.lab.stages.generate import sampling
+from npred.lab.training.neural import Neural
+from npred.networks.fused import Fused
+from npred.prediction.methods import Predictor
 
 BATCH, CLIMB, SEED = 500, 0.003, 12345  # loops side by side; the step of a weight, as a share of its layer's; of draws
 

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from typer.testing import CliRunner
 
+from npred.base.errors import NpredError
 from npred.cli import app
-from npred.errors import NpredError
-from npred.figures.figure import Figure, LegendEntry, Panel, write
-from npred.figures.style import MEDIA, LineStyle, log
-from npred.store import Question, Store
-from npred.terminal.console import columns
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, write
+from npred.lab.report.figures.style import MEDIA, LineStyle, log
+from npred.lab.report.terminal.console import columns
+from npred.lab.store import Question, Store
 
 REPEATS = 3
 ROLE = ("ink", "muted", "blue", "orange", "green", "frozen", "sky")

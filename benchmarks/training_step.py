@@ -13,10 +13,11 @@ import numpy as np
 import torch
 
 import npred
-from npred import config, operators
-from npred.operators import Scaling
-from npred.training.rows import REST_NODES
-from npred.training.training_loop import optimiser_of
+from npred.lab import config
+from npred.lab.training import operators
+from npred.lab.training.operators import Scaling
+from npred.lab.training.rows import REST_NODES
+from npred.lab.training.training_loop import optimiser_of
 
 NX, STEPS = 101, 20
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import npred
+from npred.lab.report.terminal.console import columns
 from npred.loop import metrics
-from npred.terminal.console import columns
 
 PLANT = npred.plant("activator_repressor")
 DELAYS, STARTS = [0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5]  # s

@@ -9,31 +9,31 @@ and Predictor are what a law and a predictor that you write derive from. npred.e
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from npred import errors as errors
     from npred import laws as laws
-    from npred import observers as observers
     from npred import plants as plants
+    from npred.base import errors as errors
     from npred.diagnosis.delay_margin import delay_margin
+    from npred.estimation import observers as observers
+    from npred.estimation.adaptation import DelayAdaptation
+    from npred.estimation.delay_law import DelayLaw
+    from npred.estimation.delay_observer import DelayObserver
+    from npred.estimation.l1_adaptation import L1Adaptation
     from npred.exports import export
+    from npred.guard.guarded import guarded
     from npred.identification.identify import identify
-    from npred.loop.adaptation import DelayAdaptation
+    from npred.lab.scheduler.models import load
+    from npred.lab.scheduler.runs import evaluate, generate, train
+    from npred.lab.stages.bench.comparison import compare
     from npred.loop.closed_loop import simulate
     from npred.loop.controller import controller
-    from npred.loop.delay_law import DelayLaw
-    from npred.loop.delay_observer import DelayObserver
     from npred.loop.iosystem import as_iosystem
-    from npred.loop.l1_adaptation import L1Adaptation
     from npred.loop.loop import Loop
     from npred.loop.measurement import Measurement
+    from npred.loop.safety import SafetyFilter
     from npred.loop.timing import Timing
     from npred.loop.watchdog import Watchdog
-    from npred.pipeline.models import load
     from npred.plants import plant
-    from npred.predictors import Predictor, predictor
-    from npred.predictors.guarded import guarded
-    from npred.runs import evaluate, generate, train
-    from npred.safety import SafetyFilter
-    from npred.stages.bench.comparison import compare
+    from npred.prediction.methods import Predictor, predictor
 
 __version__ = "1.0.0"
 __all__ = [
@@ -43,43 +43,43 @@ __all__ = [
 ]  # fmt: skip
 
 _HOME = {
-    "DelayAdaptation": "loop.adaptation",
-    "DelayLaw": "loop.delay_law",
-    "DelayObserver": "loop.delay_observer",
-    "L1Adaptation": "loop.l1_adaptation",
+    "DelayAdaptation": "estimation.adaptation",
+    "DelayLaw": "estimation.delay_law",
+    "DelayObserver": "estimation.delay_observer",
+    "L1Adaptation": "estimation.l1_adaptation",
     "Loop": "loop.loop",
     "Measurement": "loop.measurement",
-    "Predictor": "predictors",
-    "SafetyFilter": "safety",
+    "Predictor": "prediction.methods",
+    "SafetyFilter": "loop.safety",
     "Timing": "loop.timing",
     "Watchdog": "loop.watchdog",
     "as_iosystem": "loop.iosystem",
-    "compare": "stages.bench.comparison",
+    "compare": "lab.stages.bench.comparison",
     "controller": "loop.controller",
     "delay_margin": "diagnosis.delay_margin",
     "export": "exports",
-    "guarded": "predictors.guarded",
+    "guarded": "guard.guarded",
     "identify": "identification.identify",
-    "load": "pipeline.models",
+    "load": "lab.scheduler.models",
     "plant": "plants",
-    "predictor": "predictors",
-    **dict.fromkeys(("evaluate", "generate", "train"), "runs"),
+    "predictor": "prediction.methods",
+    **dict.fromkeys(("evaluate", "generate", "train"), "lab.scheduler.runs"),
     "simulate": "loop.closed_loop",
 }
 # as npred.errors
-_MODULES = {name: name for name in ("errors", "laws", "observers", "plants")}
+_MODULES = {"errors": "base.errors", "laws": "laws", "observers": "estimation.observers", "plants": "plants"}
 _MODULES |= {"metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
 
 
 def __getattr__(name: str) -> Any:
     """The public names, imported on first use: torch takes seconds that `npred --help` has no use for."""
     if name not in (*_HOME, *_MODULES):
-        from npred.errors import similar
+        from npred.base.errors import similar
 
         raise AttributeError(f"module 'npred' has no attribute {name!r}{similar(name, (*_HOME, *_MODULES))}")
     import importlib
 
-    from npred.docstrings import documented
+    from npred.base.docstrings import documented
 
     if name in _MODULES:
         return importlib.import_module(f"npred.{_MODULES[name]}")

@@ -1,6 +1,6 @@
 """`npred`, and `python -m npred`: signals are heard before the imports, which take a while."""
 
-from npred.terminal import interruption
+from npred.lab.report.terminal import interruption
 
 
 def main() -> None:

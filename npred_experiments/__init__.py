@@ -3,6 +3,6 @@
 One file for each, which an entry point of the group `npred.experiments` names, and the files that they share.
 """
 
-from npred.registry import Registry
+from npred.base.registry import Registry
 
 EXPERIMENTS = Registry("experiment", "npred.experiments")

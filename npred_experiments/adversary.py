@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from npred import randomness
-from npred.data.dataset import Dataset
+from npred.base import randomness
+from npred.formulas import array_math
+from npred.guard.guarded import Guarded
+from npred.lab.stages.certify import rollouts
+from npred.lab.stages.certify.rollouts import Calls
+from npred.lab.stages.certify.table import Certify
+from npred.lab.training.data.dataset import Dataset
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.predictors import RK4, Predictor
-from npred.predictors.guarded import Guarded
-from npred.stages.certify import rollouts
-from npred.stages.certify.rollouts import Calls
-from npred.stages.certify.table import Certify
-from npred.symbolic import array_math
+from npred.prediction.methods import RK4, Predictor
 from npred_experiments import evolution
 from npred_experiments.evolution import Inputs, Progress
 

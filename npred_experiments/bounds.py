@@ -20,11 +20,11 @@ integrals are Simpson's: it is a bound but for the error of these, of order 4.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks, grid
-from npred.delays import problem_of
-from npred.delays.family import by_time
+from npred.base import array_checks, grid
+from npred.guard.guarded import Guarded
 from npred.plants.base import Plant
-from npred.predictors.guarded import Guarded
+from npred.prediction.delays import problem_of
+from npred.prediction.delays.family import by_time
 from npred_experiments.intervals import Interval, Operand, interval
 
 CELLS = 200  # that Q has at least

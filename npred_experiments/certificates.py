@@ -10,18 +10,18 @@ from typing import Any
 import h5py
 import numpy as np
 
-from npred.conditions import box
-from npred.data import shards
-from npred.data.dataset import Dataset
-from npred.delays import problem_of
-from npred.errors import required
+from npred.base.errors import required
+from npred.guard.guarded import Guarded
+from npred.lab.config.conditions import box
+from npred.lab.config.results import PredictorId
+from npred.lab.scheduler.job import Job
+from npred.lab.stages.certify import rollouts
+from npred.lab.stages.certify.rollouts import Calls, Rollouts
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import Dataset
 from npred.plants import Plant
-from npred.predictors import Predictor
-from npred.predictors.guarded import Guarded
-from npred.results import PredictorId
-from npred.stages.certify import rollouts
-from npred.stages.certify.rollouts import Calls, Rollouts
-from npred.stages.job import Job
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import Predictor
 from npred_experiments import adversary
 from npred_experiments.bounds import ErrorBound
 from npred_experiments.evolution import Inputs

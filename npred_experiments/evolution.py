@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from npred import grid
-from npred.data.dataset import Dataset
+from npred.base import grid
+from npred.lab.stages.certify.rollouts import Calls
+from npred.lab.training.data.dataset import Dataset
 from npred.plants import Plant
-from npred.stages.certify.rollouts import Calls
 
 EDGE = 1e-3  # how near to the edges of the set a start may be, as a share of its width
 SPREAD = 0.3  # standard deviation that a distribution starts with, in logistic coordinates

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from npred.results import Result
-from npred.terminal.console import Console
+from npred.lab.config.results import Result
+from npred.lab.report.terminal.console import Console
 from npred_experiments import EXPERIMENTS
 
 NUMERICAL = "numerical"  # what predicts

@@ -11,14 +11,14 @@ from scipy.interpolate import CubicSpline
 from torch import Tensor, nn
 from torch.nn import functional
 
-from npred import randomness
-from npred.operators import Operator, Scaling
-from npred.operators.deeponet import mlp
-from npred.operators.fno import Spectral
-from npred.operators.io import save_weights
-from npred.stages.train.train import SEEDING
-from npred.training import training_loop
-from npred.training.rows import Fit, Rows
+from npred.base import randomness
+from npred.lab.stages.train.train import SEEDING
+from npred.lab.training import training_loop
+from npred.lab.training.operators import Operator, Scaling
+from npred.lab.training.operators.deeponet import mlp
+from npred.lab.training.operators.fno import Spectral
+from npred.lab.training.operators.io import save_weights
+from npred.lab.training.rows import Fit, Rows
 from npred_experiments import horizons, latency
 from npred_experiments.experiment import AS_MEANT, TrainedForLoop
 from npred_experiments.horizons import Delay, T

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 import npred
-from npred import grid
+from npred.base import grid
 from npred.kernels.kernel import bound
+from npred.lab.stages.bench import timing
 from npred.plants import Plant
-from npred.predictors import Predictor
-from npred.stages.bench import timing
+from npred.prediction.methods import Predictor
 from npred_experiments.experiment import NUMERICAL, PredictionTime
 from npred_experiments.network_loop import NetworkLoop, RecordedCalls, recorded
 from npred_experiments.regression import Quadratic

@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from npred import defaults, randomness, runtimes
-from npred.config import FNO, DeepONet, Network
-from npred.config import Training as Table
-from npred.operators import Operator, Scaling, checked, save
-from npred.parallel import executors
-from npred.parallel.executors import Threads
+from npred import networks as runtimes
+from npred.base import randomness
+from npred.lab.config import FNO, DeepONet, Network, defaults
+from npred.lab.config import Training as Table
+from npred.lab.scheduler import executors
+from npred.lab.scheduler.executors import Threads
+from npred.lab.stages.train.train import SEEDING
+from npred.lab.training import loss, training_loop
+from npred.lab.training.operators import Operator, Scaling, checked, save
+from npred.lab.training.rows import Fit, Rows
+from npred.networks.fused import lowering
 from npred.plants import Plant
-from npred.runtimes.fused import lowering
-from npred.stages.train.train import SEEDING
-from npred.training import loss, training_loop
-from npred.training.rows import Fit, Rows
 from npred_experiments import latency
 from npred_experiments.experiment import Place, TrainedForLoop
 from npred_experiments.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded

@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred import randomness
-from npred.config import Anchor
+from npred.base import randomness
+from npred.lab.config import Anchor
 from npred.plants import Plant
-from npred.predictors import Predictor
+from npred.prediction.methods import Predictor
 from npred_experiments.experiment import Place, TrainedForLoop
 
 SEED = 2025  # of other rollouts than the published ones, which are drawn from other generators

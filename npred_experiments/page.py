@@ -5,10 +5,10 @@ from importlib.resources import files
 from statistics import median
 from typing import Any, NamedTuple
 
-from npred.figures.figure import Figure, LegendEntry, Panel
-from npred.figures.style import LineStyle, log, short
-from npred.figures.table import Column, Table
-from npred.registry import NETWORKS
+from npred.base.registry import NETWORKS
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel
+from npred.lab.report.figures.style import LineStyle, log, short
+from npred.lab.report.figures.table import Column, Table
 from npred_experiments.experiment import CORRECTED, NUMERICAL, Reproduced, ReproducedRow, load
 from npred_experiments.rows import cells_of
 
@@ -53,7 +53,7 @@ class Excess(NamedTuple):
 
 def page(results: Sequence[Reproduced]) -> str:
     """The page as HTML that needs nothing else; the same results give the same bytes."""
-    from npred.stages.report import html_page
+    from npred.lab.stages.report import html_page
 
     figure = _excesses_drawn(excesses(results))
     names = [result.name for result in results]

@@ -12,13 +12,13 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, Self
 
-from npred import registry
-from npred.errors import ConfigError, unlisted
-from npred.parallel.executors import Workers
-from npred.pipeline.plan import Node, Resolver
-from npred.registry import Source
-from npred.store import Store
-from npred.terminal.console import Console
+from npred.base import registry
+from npred.base.errors import ConfigError, unlisted
+from npred.base.registry import Source
+from npred.lab.report.terminal.console import Console
+from npred.lab.scheduler.executors import Workers
+from npred.lab.scheduler.plan import Node, Resolver
+from npred.lab.store import Store
 from npred_experiments import EXPERIMENTS, rows
 from npred_experiments.experiment import CORRECTED, NUMERICAL, TIMES, Place, Reproduced, load
 

@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from npred import json_files, plants, randomness
-from npred.data.dataset import Dataset, attributes
-from npred.errors import ConfigError, NpredError, first_line, room_on_disk
+from npred import plants
+from npred.base import json_files, randomness
+from npred.base.errors import ConfigError, NpredError, first_line, room_on_disk
+from npred.lab.report.terminal.console import Console
+from npred.lab.training.data.dataset import Dataset, attributes
 from npred.plants import Plant
-from npred.terminal.console import Console
 
 CONSTANT = 1e-5  # of a quantity's largest value: what float32 leaves of an equality
 TEST_SHARE = 0.1  # of the rows or rollouts, as in [DAPF]

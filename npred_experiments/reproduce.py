@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from npred.base.errors import ConfigError
 from npred.cli.options import Common
-from npred.errors import ConfigError
-from npred.pipeline import Runner
+from npred.lab.scheduler.runner import Runner
 from npred_experiments import EXPERIMENTS, page, rows
 from npred_experiments.experiment import Reproduced, load
 from npred_experiments.planner import STAGE, ExperimentPlanner

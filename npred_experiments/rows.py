@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from npred.terminal.console import columns
+from npred.lab.report.terminal.console import columns
 from npred_experiments.experiment import (
     AS_MEANT,
     Experiment,

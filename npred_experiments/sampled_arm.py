@@ -12,8 +12,8 @@ import numpy as np
 
 import npred
 from npred import plants
-from npred.delays import problem_of
-from npred.predictors import RK4
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
 from npred_experiments import latency
 from npred_experiments.experiment import (
     AS_MEANT,

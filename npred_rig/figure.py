@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from npred.figures.figure import Figure, LegendEntry, Panel
-from npred.figures.notation import quantity, timed
-from npred.figures.style import ROLES, Axes, LineStyle
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel
+from npred.lab.report.figures.notation import quantity, timed
+from npred.lab.report.figures.style import ROLES, Axes, LineStyle
 from npred.plants import Plant
 
 ESTIMATE, STAMPS = LineStyle("blue"), LineStyle("ink", (4, 2))

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from npred.identification.recordings.csv import Csv
 from npred.loop import metrics
 from npred.loop.controller import Controller
 from npred.plants import Plant
-from npred.recordings.csv import Csv
 
 OVER = "the time is over"
 END = "# end: "

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred import array_checks, randomness
-from npred.errors import ConfigError
+from npred.base import array_checks, randomness
+from npred.base.errors import ConfigError
 
 STOP = 0.2  # s that the network stands still
 PATIENCE = 2.0  # s without any packet, lost ones too, after which the other side is gone

@@ -8,22 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from npred import figures, plants
+from npred import plants
+from npred.base.errors import ConfigError, NpredError, UnmetError
 from npred.cli import export
 from npred.cli.options import drawable, writable
-from npred.conditions import condition
-from npred.errors import ConfigError, NpredError, UnmetError
-from npred.figures.style import MEDIA
+from npred.estimation.adaptation import DelayAdaptation
+from npred.guard.guarded import Guarded
+from npred.lab.config.conditions import condition
+from npred.lab.report import figures
+from npred.lab.report.figures.style import MEDIA
+from npred.lab.report.terminal import interruption
+from npred.lab.scheduler import executors
+from npred.lab.scheduler.models import load_model, loaded
 from npred.loop import loop_checks, metrics
-from npred.loop.adaptation import DelayAdaptation
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop import HISTORY
-from npred.parallel import executors
-from npred.pipeline.models import load_model, loaded
 from npred.plants import Plant
-from npred.predictors import numerical
-from npred.predictors.guarded import Guarded
-from npred.terminal import interruption
+from npred.prediction.methods import numerical
 from npred_rig import figure as drawing
 from npred_rig import log, network, sides
 from npred_rig.command import Rigged

@@ -12,16 +12,16 @@ from pathlib import Path
 
 import numpy as np
 
-from npred import randomness
-from npred.config import Evaluate
-from npred.errors import DivergedError
+from npred.base import randomness
+from npred.base.errors import DivergedError
+from npred.estimation.observers import Observer
+from npred.lab.config import Evaluate
+from npred.lab.report.terminal import interruption
 from npred.loop.controller import Controller
 from npred.loop.engine import advance_kernel
 from npred.loop.measurement import Sensors
-from npred.observers import Observer
 from npred.plants import Plant
-from npred.predictors import RK4
-from npred.terminal import interruption
+from npred.prediction.methods import RK4
 from npred_rig.log import CALL, OVER, SAMPLE, LogFile, truth
 from npred_rig.network import Channel, Packet, UdpLink
 

@@ -16,10 +16,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from npred.errors import ConfigError
-from npred.symbolic import Parameters, Value, array_math
-from npred.symbolic.ldl import total
-from npred.symbolic.tape import Functions
+from npred.base.errors import ConfigError
+from npred.formulas import Parameters, Value, array_math
+from npred.formulas.ldl import total
+from npred.formulas.tape import Functions
 from npred_robots import rigid_body, urdf
 from npred_robots.rigid_body import Body, Matrix, Vector
 

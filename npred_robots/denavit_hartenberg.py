@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred_robots.rigid_body import Body
 
 

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.errors import ConfigError, first_line, required, unlisted
-from npred.symbolic import Parameters, Value
+from npred.base.errors import ConfigError, first_line, required, unlisted
+from npred.formulas import Parameters, Value
 from npred_robots.chain import by_library, declaration, wave_of
 
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")  # MuJoCo's names

@@ -6,7 +6,7 @@ from threading import Lock
 
 import numpy as np
 
-from npred.errors import required
+from npred.base.errors import required
 from npred_robots import urdf
 from npred_robots.chain import by_library, declaration, wave_of
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from npred.symbolic import Value
-from npred.symbolic.ldl import total
-from npred.symbolic.tape import Functions
+from npred.formulas import Value
+from npred.formulas.ldl import total
+from npred.formulas.tape import Functions
 
 Vector = list[Value]
 Matrix = list[Vector]

@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from npred import json_files
-from npred.errors import ConfigError, unlisted
+from npred.base import json_files
+from npred.base.errors import ConfigError, unlisted
 from npred_robots.rigid_body import Body
 
 LARGEST = 2**20  # bytes of a file: a chain has kilobytes, its meshes are elsewhere and not read

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from npred import grid
-from npred.operators.deeponet import as_tensors, mlp
+from npred.base import grid
+from npred.lab.training.operators.deeponet import as_tensors, mlp
 
 trapezoid = as_tensors(grid.trapezoid)
 

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from npred.operators.deeponet import DeepONetwork, as_tensors, mlp, running_mean
-from npred.operators.fno import FNOnetwork
+from npred.lab.training.operators.deeponet import DeepONetwork, as_tensors, mlp, running_mean
+from npred.lab.training.operators.fno import FNOnetwork
 
 
 class GRUNetwork(nn.Module):

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from npred import Predictor
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.formulas import array_math
+from npred.formulas.tape import names
+from npred.formulas.trace import Trace, python
 from npred.plants import Plant
-from npred.symbolic import array_math
-from npred.symbolic.tape import names
-from npred.symbolic.trace import Trace, python
 
 
 class Interpreted(Predictor):

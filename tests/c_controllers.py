@@ -7,12 +7,12 @@ import subprocess
 import numpy as np
 import pytest
 
+from npred.exports import c_controller
 from npred.loop import engine
 from npred.loop.actuator import actuate, history, transport
 from npred.loop.status import Status
 from npred.plants.inputs import Past
-from npred.predictors import RK4
-from npred.runtimes import c_controller
+from npred.prediction.methods import RK4
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]

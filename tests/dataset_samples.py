@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from npred.data.dataset import Dataset
+from npred.lab.training.data.dataset import Dataset
 
 
 def dataset(count=6):

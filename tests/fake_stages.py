@@ -14,9 +14,9 @@ from typing import Any
 
 from result_samples import BENCHED, HARDWARE, SCORES, TRAINED, evaluated
 
-from npred.json_files import plain
-from npred.pipeline.stage_registry import STAGES
-from npred.stages.declaration import Stage
+from npred.base.json_files import plain
+from npred.lab.scheduler.declaration import Stage
+from npred.lab.scheduler.stage_registry import STAGES
 
 
 @dataclass(frozen=True)

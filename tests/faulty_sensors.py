@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 import npred
-from npred.errors import DivergedError
+from npred.base.errors import DivergedError
 
 DT, BAND = 0.01, 0.1  # of the half widths of the box: an estimate that is nearer is settled
 PLANTS = {  # the delay, what is measured, and whether an offset of the input is estimated

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from npred import exports
-from npred.exports import WholeController
-from npred.runtimes import fmu
+from npred.exports import WholeController, fmu
 
 needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler on this machine")
 

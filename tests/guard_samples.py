@@ -3,8 +3,8 @@
 import numpy as np
 
 import npred
-from npred import grid
-from npred.predictors import Predictor
+from npred.base import grid
+from npred.prediction.methods import Predictor
 
 PLANT = npred.plant("activator_repressor")
 NX = 51

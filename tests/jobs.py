@@ -5,9 +5,10 @@ from typing import Any
 
 from silent import Silent
 
-from npred import config, plants
-from npred.parallel.executors import Here, Workers
-from npred.stages.job import Job
+from npred import plants
+from npred.lab import config
+from npred.lab.scheduler.executors import Here, Workers
+from npred.lab.scheduler.job import Job
 
 PLANT = "activator_repressor"
 SMALL = {
@@ -41,8 +42,8 @@ def job(root: Path, name: str, inputs: dict[str, Path] | None = None, jobs: int 
 
 def trained(root: Path) -> dict[str, Path]:
     """The folders of data and both networks, by name, as the inputs of the later stages."""
-    from npred.stages.generate import generate
-    from npred.stages.train import train  # it brings torch
+    from npred.lab.stages.generate import generate
+    from npred.lab.stages.train import train  # it brings torch
 
     data = job(root, "generate")
     generate.run(data)

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from npred import plants
-from npred.config import FNO, DeepONet, Network, Training
-from npred.operators import Operator, Scaling, build
-from npred.registry import short_name
+from npred.base.registry import short_name
+from npred.lab.config import FNO, DeepONet, Network, Training
+from npred.lab.training.operators import Operator, Scaling, build
 
 PLANT = plants.resolve("activator_repressor")
 PIPELINES = Path(__file__).parents[1] / "pipeline"

@@ -15,15 +15,16 @@ import pytest
 from input_histories import means
 from scipy.integrate import solve_ivp
 
-from npred import config, predictors
-from npred.delays import problem_of
-from npred.delays.constant import ConstantDelay
+from npred.base.registry import METHODS
+from npred.lab import config
+from npred.lab.scheduler import pipeline_fit
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
-from npred.predictors import RK4
-from npred.predictors.base import OneStep
-from npred.registry import METHODS
-from npred.stages import pipeline_fit
+from npred.prediction import methods as predictors
+from npred.prediction.delays import problem_of
+from npred.prediction.delays.constant import ConstantDelay
+from npred.prediction.methods import RK4
+from npred.prediction.methods.base import OneStep
 
 DT = 0.005
 GOLDEN = 5.0  # s of the golden loop: each of its control steps is solved anew

@@ -5,10 +5,12 @@ from pathlib import Path
 from jobs import tables
 from silent import Silent
 
-from npred import config
-from npred.pipeline import Outcome, Planner, Runner, nodes, usual
-from npred.stages.report import toml_text
-from npred.store import Store
+from npred.lab import config
+from npred.lab.scheduler.runner import Runner
+from npred.lab.scheduler.stage_registry import Planner, nodes, usual
+from npred.lab.scheduler.task import Outcome
+from npred.lab.stages.report import toml_text
+from npred.lab.store import Store
 
 MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}
 REDRAW = {"redraw": 0.25}  # rows of two kinds are held out

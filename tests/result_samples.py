@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from npred.results.bench import CallTimes
-from npred.results.evaluate import Evaluated, Scores
+from npred.lab.config.results.bench import CallTimes
+from npred.lab.config.results.evaluate import Evaluated, Scores
 
 ERRORS = {"mse": 1.2e-7, "eps_sup": 0.0184, "eps_kappa": 3.4e-3, "rel_l2": 1e-4}
 RADIUS = {"median": 9e-15, "worst": 5.2e-5, "converged": 0.98, "cases": 50, "predicted": None}

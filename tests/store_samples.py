@@ -5,8 +5,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from npred.store import Artifact, Question, ResultInput, Store
-from npred.store.manifest import sha256
+from npred.lab.store import Artifact, Question, ResultInput, Store
+from npred.lab.store.manifest import sha256
 
 
 def question(**changes: Any) -> Question:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError, MissingError
-from npred.predictors import RK4
+from npred.base.errors import ConfigError, MissingError
+from npred.prediction.methods import RK4
 
 
 def test_public_names_are_the_documented_ones():

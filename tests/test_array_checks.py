@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from npred import array_checks
-from npred.errors import ConfigError
+from npred.base import array_checks
+from npred.base.errors import ConfigError
 
 REFUSED = {
     "text": "a", "numbers as text": ["1", "2"], "ragged": [[1, 2], [3]], "a dictionary": {"x": 1}, "None": [None, 1.0],

@@ -10,10 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 OF_THE_CPU = {
     "npred_experiments/bounds.py",  # its own search, on arrays
-    "npred/operators/scaling.py",  # made of arrays, before a network moves
+    "npred/lab/training/operators/scaling.py",  # made of arrays, before a network moves
     "npred_experiments/evolution.py",  # its own search, on arrays
 }
-SAVED = "npred/runtimes/"  # what is fused or exported was loaded from files, to the CPU
+SAVED = "npred/networks/"  # what is fused or exported was loaded from files, to the CPU
 MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("npred_*/*.py")]
 
 

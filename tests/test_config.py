@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from npred import config
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.lab import config
+from npred.lab.stages.report import toml_text
 from npred.loop.measurement import Sensors
-from npred.stages.report import toml_text
 
 PIPELINES = sorted((Path(__file__).parent.parent / "pipeline").glob("*.toml"))
 

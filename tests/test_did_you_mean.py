@@ -12,10 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 import npred
-from npred import config, plants
+from npred import plants
+from npred.base.errors import NpredError, unlisted
 from npred.cli import app
 from npred.diagnosis import box
-from npred.errors import NpredError, unlisted
+from npred.lab import config
 
 SOURCES = Path(npred.__file__).parent
 
@@ -145,7 +146,7 @@ def test_a_command_says_what_to_write_instead(line: str, instead: str):
         (lambda: npred.load(TANK), "model: expected PIPELINE:MODEL, a path or a key, got <Plant tank"),
         (lambda: npred.laws.lqr("tank"), "plant: expected a Plant, got 'tank'; make one with npred.plant"),
         (lambda: npred.generate("smoke", settings=["generate.samples=9"]), "settings: expected keys and values"),
-        (lambda: npred.config.load("smok.toml"), "smok.toml: expected a pipeline file"),
+        (lambda: npred.lab.config.load("smok.toml"), "smok.toml: expected a pipeline file"),
     ],
 )
 def test_python_says_what_to_write_instead(call: Callable[[], Any], words: str):

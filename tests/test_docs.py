@@ -20,9 +20,9 @@ import typer.main
 from conftest import HERE, process_environment
 from typer.testing import CliRunner
 
-from npred import config
 from npred.cli import app
 from npred.exports import FORMATS
+from npred.lab import config
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import load
 
@@ -120,7 +120,7 @@ def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path,
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NPRED_STORE", str(store))
-    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/report/test_figures.py
     for name in ("paper", "smoke"):
         write(tmp_path / "pipeline" / f"{name}.toml", SMOKE | {"name": name})
     call("npred train pipeline/paper.toml -q")

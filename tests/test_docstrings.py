@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import npred
-from npred import docstrings, errors
+from npred.base import docstrings, errors
 from npred.loop.controller import Controller
 
 LAWS = [getattr(npred.laws, name) for name in npred.laws.__all__]

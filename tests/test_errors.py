@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import MissingError, first_line, imported, installed, required
+from npred.base.errors import MissingError, first_line, imported, installed, required
 
 
 @pytest.mark.parametrize(

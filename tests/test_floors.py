@@ -1,9 +1,9 @@
-"""A module imports only from floors below its own, and the command line starts without the heavy libraries."""
+"""A room imports only from those before it, and the command line starts without the heavy libraries."""
 
 import ast
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -11,85 +11,69 @@ import pytest
 from conftest import process_environment
 
 ROOT = Path(__file__).parent.parent / "npred"
-FLOORS = [
-    {"docstrings", "errors", "grid", "json_files", "notebook", "progress", "randomness", "source_lines"},
-    {"array_checks", "config", "defaults", "kernels", "parallel", "registry", "symbolic", "terminal"},
-    {"plants", "results", "store"},
-    {"data", "laws", "operators", "recordings"},
-    {"delays", "training"},
-    {"observers", "predictors", "safety"},
-    {"conditions", "diagnosis", "exports", "identification", "loop", "runtimes"},
-    {"figures", "tuning"},
-    {"stages"},
-    {"pipeline"},
-    {"api", "runs"},
-    {"cli", "__main__"},
-]
-FLOOR = {name: floor for floor, names in enumerate(FLOORS) for name in names}
+ROOMS = (  # a room imports from those before it
+    "base", "formulas", "kernels", "plants", "prediction", "networks", "guard", "laws", "estimation", "loop",
+    "identification", "diagnosis", "exports",
+    "lab/config", "lab/training", "lab/store", "lab/report", "lab/scheduler", "lab/stages", "cli", "",
+)  # fmt: skip
+APPLICATION = ("lab/", "cli")
 MODULES = {path.relative_to(ROOT).as_posix(): path.read_text() for path in sorted(ROOT.rglob("*.py"))}
-del MODULES["__init__.py"]
 HEAVY = ("torch", "h5py", "sympy", "matplotlib", "scipy", "onnxruntime", "distributed")
 
 
-def room(file: str) -> str:
-    return file.removesuffix(".py").split("/")[0]
+def room(parts: Sequence[str]) -> str:
+    """The folder of npred/, or of npred/lab/, that a module is in; "" for npred/ itself."""
+    if len(parts) < 2:
+        return ""
+    return "/".join(parts[:2]) if parts[0] == "lab" else parts[0]
 
 
 @cache
 def imports(text: str) -> list[tuple[int, str]]:
-    """Line and first name below npred of each import from this package, those inside functions included."""
+    """Line and room of each import from this package, those inside functions included."""
     places = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            places += [(node.lineno, a.name.split(".")[1]) for a in node.names if a.name.startswith("npred.")]
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "npred":
-            below = (node.module or "").split(".")[1:]
-            places += [(node.lineno, name) for name in (below[:1] or [a.name for a in node.names])]
+            names = [a.name for a in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{a.name}" for a in node.names]
+        else:
+            continue
+        places += [(node.lineno, room([*name.split(".")[1:], "x"])) for name in names if name.startswith("npred.")]
     return places
 
 
 def across(modules: Mapping[str, str]) -> list[tuple[str, str, str]]:
     """Each import of another room: `file:line imports room`, the file's room, the other."""
-    found = [(file, room(file), *each) for file, text in modules.items() for each in imports(text)]
-    return [(f"{file}:{line} imports {name}", own, name) for file, own, line, name in found if name != own]
-
-
-def without_a_floor(modules: Mapping[str, str]) -> list[str]:
-    return sorted({room(file) for file in modules} - FLOOR.keys())
+    found = [(file, room(file.split("/")), *each) for file, text in modules.items() for each in imports(text)]
+    return [(f"{file}:{line} imports {name}", here, name) for file, here, line, name in found if name not in ("", here)]
 
 
 def upwards(modules: Mapping[str, str]) -> list[str]:
-    return [place for place, own, name in across(modules) if FLOOR[name] > FLOOR[own]]
+    return [place for place, here, there in across(modules) if ROOMS.index(there) > ROOMS.index(here)]
 
 
-def in_circles(modules: Mapping[str, str]) -> list[str]:
-    edges = {(own, name) for _, own, name in across(modules)}
-    for _ in FLOOR:
-        edges |= {(a, d) for a, b in edges for c, d in edges if b == c}
-    return sorted(a for a, b in edges if a == b)
+def between(modules: Mapping[str, str], here: str, there: str) -> list[str]:
+    return [place for place, *rooms in across(modules) if rooms == [here, there]]
 
 
-def between(modules: Mapping[str, str], own: str, other: str) -> list[str]:
-    return [place for place, *rooms in across(modules) if rooms == [own, other]]
+def test_every_module_is_in_a_room():
+    assert {room(file.split("/")) for file in MODULES} == set(ROOMS)
 
 
-def test_a_module_is_on_a_floor_and_imports_from_those_below():
-    assert without_a_floor(MODULES) == []
+def test_a_room_imports_from_those_before_it():
     places = upwards(MODULES)
     assert not places, "\n".join(places)  # pytest cuts a list short
 
 
-def test_rooms_of_one_floor_do_not_import_each_other_in_circles():
-    assert in_circles(MODULES) == []
-
-
-def test_networks_and_predictors_meet_in_the_neural_predictor_only():
-    places = between(MODULES, "predictors", "operators")
-    assert {place.partition(":")[0] for place in places} == {"predictors/neural.py"}
+def test_the_library_imports_nothing_of_the_application():
+    places = [place for place, here, there in across(MODULES)
+              if here and not here.startswith(APPLICATION) and there.startswith(APPLICATION)]  # fmt: skip
+    assert not places, "\n".join(places)
 
 
 def test_no_stage_knows_the_store():
-    places = between(MODULES, "stages", "store")
+    places = between(MODULES, "lab/stages", "lab/store")
     assert not places, "\n".join(places)
 
 
@@ -102,11 +86,10 @@ def test_npred_does_not_know_its_siblings():
 
 
 def test_an_offence_is_named_with_its_file_and_line():
-    text = "import numpy\nfrom npred import cli, errors\ndef f():\n    import npred.store.locks\n"
-    planted = {"stages/a.py": text, "cli/b.py": text, "attic/c.py": ""}
-    assert upwards(planted) == ["stages/a.py:2 imports cli"] and without_a_floor(planted) == ["attic"]
-    assert between(planted, "stages", "store") == ["stages/a.py:4 imports store"]
-    assert in_circles({"plants/a.py": "import npred.store", "store/b.py": "import npred.plants"}) == ["plants", "store"]
+    text = "import numpy\nfrom npred import cli\ndef f():\n    import npred.lab.store.claims\n"
+    planted = {"lab/stages/a.py": text, "cli/b.py": text}
+    assert upwards(planted) == ["lab/stages/a.py:2 imports cli"]
+    assert between(planted, "lab/stages", "lab/store") == ["lab/stages/a.py:4 imports lab/store"]
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["status", "{p}"], ["why", "train", "{p}"], ["ls"], ["plants"]])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred import grid
+from npred.base import grid
 
 SIZES = st.integers(2, 400)
 

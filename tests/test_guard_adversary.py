@@ -9,12 +9,12 @@ from conftest import HERE
 from input_histories import means
 
 import npred
-from npred import grid
-from npred.data.dataset import Dataset
-from npred.data.domain import Domain
+from npred.base import grid
+from npred.guard.guarded import Guarded
+from npred.lab.training.data.dataset import Dataset
 from npred.loop import metrics
-from npred.predictors import RK4
-from npred.predictors.guarded import Guarded
+from npred.networks.domain import Domain
+from npred.prediction.methods import RK4
 
 SPEC = importlib.util.spec_from_file_location("guard_adversary", HERE.parent / "benchmarks" / "guard_adversary.py")
 assert SPEC is not None and SPEC.loader is not None

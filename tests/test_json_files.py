@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from npred import json_files
+from npred.base import json_files
 
 
 def test_a_table_is_read(tmp_path: Path):

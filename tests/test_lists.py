@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 
 PLANT = npred.plant("activator_repressor")
 SCALAR = npred.plant("scalar")

@@ -17,7 +17,9 @@ import npred
 def models() -> list[type[BaseModel]]:
     """All models of the package."""
     for module in pkgutil.walk_packages(npred.__path__, "npred."):
-        if module.name.startswith(("npred.config", "npred.results", "npred.store", "npred.plants.declaration")):
+        if module.name.startswith(
+            ("npred.lab.config", "npred.lab.config.results", "npred.lab.store", "npred.plants.declaration")
+        ):
             importlib.import_module(module.name)
     known, found = [BaseModel], []
     for model in known:

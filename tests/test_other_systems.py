@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from conftest import HERE, process_environment
 
-from npred import plants, registry
+from npred import plants
+from npred.base import registry
 
 READ = ["--help", "plants", "help", "show paper", "ls", "reproduce --list", "status smoke", "doctor", "why smoke"]
 PROGRAM = str(HERE / "as_on_windows.py")
@@ -59,10 +60,16 @@ sys.exit(pytest.main([*{tests!r}, "--collect-only", "-qq", "-p", "no:cacheprovid
 
 def modules() -> list[str]:
     """All modules of npred, its rig and its robots that load no torch, which asks for POSIX itself."""
-    torch = ("npred.training", "npred.operators", "npred.stages.train", "npred.__main__", "npred.predictors.neural")
+    torch = (
+        "npred.lab.training",
+        "npred.lab.training.operators",
+        "npred.lab.stages.train",
+        "npred.__main__",
+        "npred.lab.training.neural",
+    )
     packages = [importlib.import_module(name) for name in ("npred", "npred_rig", "npred_robots")]
     names = [found.name for p in packages for found in pkgutil.walk_packages(p.__path__, f"{p.__name__}.")]
-    return [name for name in names if not name.startswith((*torch, "npred.runtimes.onnx", "npred.stages.certify"))]
+    return [name for name in names if not name.startswith((*torch, "npred.exports.onnx", "npred.lab.stages.certify"))]
 
 
 @pytest.mark.parametrize("words", READ)

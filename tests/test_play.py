@@ -11,7 +11,7 @@ from browsers import CONTRAST, LEGIBLE, VISIBLE
 from docs_pages import built
 
 import npred
-from npred import errors
+from npred.base import errors
 from npred.kernels import compiler
 
 pytest.importorskip("sphinx")

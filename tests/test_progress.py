@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import process_environment
 
-from npred import progress
+from npred.base import progress
 
 LOOP = """
 import numpy as np

@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred import randomness
+from npred.base import randomness
 
 PATHS = st.lists(st.text(max_size=8) | st.integers(0, 2**31), min_size=1, max_size=3)
 

@@ -6,9 +6,10 @@ import pytest
 from conftest import TANK
 from typer.testing import CliRunner
 
-from npred import plants, registry
+from npred import plants
+from npred.base import registry
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.errors import ConfigError
 
 
 def test_a_registered_plant_is_found_listed_and_lazily_imported(package):

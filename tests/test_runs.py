@@ -13,12 +13,12 @@ from conftest import HERE, process_environment
 from jobs import tables
 
 import npred
-from npred import runs
-from npred.errors import ConfigError
-from npred.pipeline import Planner, nodes
-from npred.results import Evaluated, PredictorId
-from npred.stages.report import toml_text
-from npred.store import Store
+from npred.base.errors import ConfigError
+from npred.lab.config.results import Evaluated, PredictorId
+from npred.lab.scheduler import runs
+from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.stages.report import toml_text
+from npred.lab.store import Store
 
 NOTEBOOK = HERE.parent / "docs" / "notebooks" / "network.ipynb"
 

@@ -15,11 +15,15 @@ from conftest import HERE, process_environment, settings_of
 from safetensors.torch import save_file
 from store_samples import put, question
 
-from npred import config, operators, plants, registry
-from npred.config import FNO, DeepONet
-from npred.errors import ConfigError, StoreError
-from npred.pipeline import load_model, nodes
-from npred.store import Store
+from npred import plants
+from npred.base import registry
+from npred.base.errors import ConfigError, StoreError
+from npred.lab import config
+from npred.lab.config import FNO, DeepONet
+from npred.lab.scheduler.models import load_model
+from npred.lab.scheduler.stage_registry import nodes
+from npred.lab.store import Store
+from npred.lab.training import operators
 
 ROOT = HERE.parent
 MODULES = [p for folder in ("npred", "benchmarks", "docs") for p in sorted((ROOT / folder).rglob("*.py"))]

@@ -14,9 +14,9 @@ from jobs import tables
 from typer.testing import CliRunner
 
 import npred
-from npred import operators
 from npred.cli import app
-from npred.stages.report import toml_text
+from npred.lab.stages.report import toml_text
+from npred.lab.training import operators
 
 Child = Callable[..., subprocess.CompletedProcess[str]]
 TRAIN = "pip install 'npred[train]'"
@@ -114,10 +114,10 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
     from operator_samples import EVERY, operator
 
     operators.save(tmp_path, operator(EVERY[3]), EVERY[3])
-    table = f"npred.config.Network(network={EVERY[3].architecture!r})"
+    table = f"npred.lab.config.Network(network={EVERY[3].architecture!r})"
     plant = "npred.plant('activator_repressor')"
-    read = f"npred.operators.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"
-    (line,) = script(f"import npred.config, npred.operators, pathlib\n{refused(read)}")
+    read = f"npred.lab.training.operators.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"
+    (line,) = script(f"import npred.lab.config, npred.lab.training.operators, pathlib\n{refused(read)}")
     assert line == f"5 network {EVERY[3].architecture}: expected the package torch, found none; {TRAIN}"
 
 
@@ -127,14 +127,14 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
         (f"{LOAD}, runtime='torch')", f"runtime torch: expected the package torch, {TRAIN}"),
         (f"{LOAD}, runtime='onnx')", "runtime onnx: expected the package torch, npred[onnx]"),
         (f"{LOAD}, device='cuda')", f"device: expected the package torch, {TRAIN}"),
-        ("from npred.operators import Operator", f"networks: expected the package torch, {TRAIN}"),
-        ("npred.registry.NETWORKS.load('network', 'fno')", f"network fno: expected the package torch, {TRAIN}"),
+        ("from npred.lab.training.operators import Operator", f"networks: expected the package torch, {TRAIN}"),
+        ("npred.base.registry.NETWORKS.load('network', 'fno')", f"network fno: expected the package torch, {TRAIN}"),
         ("npred.simulate(npred.plant('scalar'), None, D=1.0, D_hat=1.0, X0=[1.0], t_end=0.1, dt=0.01, adaptation=None)"
          ".to_dataframe()", "to_dataframe: expected the package pandas, pip install pandas"),
     ],
 )  # fmt: skip
 def test_in_python_what_needs_a_package_says_so(script, text, words):
-    (line,) = script(f"import npred.registry\n{refused(text)}")
+    (line,) = script(f"import npred.base.registry\n{refused(text)}")
     expected, cure = words.split(", ")
     assert line.startswith(f"5 {expected}, found none; ") and cure in line
 

@@ -11,7 +11,7 @@ from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, NumpyDocstring
 from sphinx.util.typing import stringify_annotation
 
-from npred.docstrings import documented
+from npred.base.docstrings import documented
 
 NAME = re.compile(r"`([^`]+)`")
 SECTIONS = Config(napoleon_use_param=False, napoleon_use_rtype=False)

@@ -18,11 +18,11 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 
 import npred
+from npred.exports import c_controller
 from npred.kernels.kernel import skeleton
 from npred.loop.controller import Controller
 from npred.loop.engine import advance_kernel
-from npred.predictors import RK4
-from npred.runtimes import c_controller
+from npred.prediction.methods import RK4
 
 LOOP = Path(__file__).with_suffix(".c")
 SCRIPTS, SHEET = ("play_loops.js", "play.js"), "play.css"

@@ -15,11 +15,12 @@ from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util import logging
 
-from npred import cli, config, plants
+from npred import cli, plants
 from npred.cli.options import Common, Planned, Work
-from npred.config.section import MOST
-from npred.pipeline import STAGES
-from npred.results import Result
+from npred.lab import config
+from npred.lab.config.results import Result
+from npred.lab.config.section import MOST
+from npred.lab.scheduler.stage_registry import STAGES
 
 logger = logging.getLogger(__name__)
 

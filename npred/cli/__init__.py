@@ -7,8 +7,8 @@ from types import ModuleType
 
 from npred.cli import commands
 from npred.cli.app import app
-from npred.terminal import interruption, streams
-from npred.terminal.console import Console
+from npred.lab.report.terminal import interruption, streams
+from npred.lab.report.terminal.console import Console
 
 __all__ = ["app", "commands", "main"]
 

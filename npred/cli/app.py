@@ -9,11 +9,11 @@ from typing import Any, TypeVar, get_type_hints
 
 import typer
 
+from npred.base.errors import NpredError, first_line, missing
+from npred.base.progress import announce, listener
 from npred.cli.options import Common
-from npred.errors import NpredError, first_line, missing
-from npred.progress import announce, listener
-from npred.terminal import interruption
-from npred.terminal.console import Console
+from npred.lab.report.terminal import interruption
+from npred.lab.report.terminal.console import Console
 
 Function = TypeVar("Function", bound=Callable[..., None])
 

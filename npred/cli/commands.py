@@ -10,13 +10,13 @@ import typer
 
 import npred
 from npred import cli
+from npred.base.errors import ConfigError
+from npred.base.registry import COMMANDS, STAGES, declared_stage
 from npred.cli.app import app, command, with_flags
 from npred.cli.identify import Recorded
 from npred.cli.options import Common, Exporting, ExportingLoop, Planned, Running, Work, argument, flag
-from npred.errors import ConfigError
 from npred.exports import FORMATS
-from npred.registry import COMMANDS, STAGES, declared_stage
-from npred.terminal.console import Console
+from npred.lab.report.terminal.console import Console
 
 MEDIA = ("ieee1", "ieee2", "page")
 RESULT = argument("STAGE/KEY", "A result, as for show.")

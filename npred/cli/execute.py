@@ -4,15 +4,20 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+from npred.base import devices
+from npred.base.errors import ConfigError, room_on_disk, unlisted
 from npred.cli.options import Work, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
-from npred.errors import ConfigError, room_on_disk, unlisted
-from npred.parallel import devices, executors
-from npred.pipeline import STAGES, Outcome, Planner, Runner, Step, nodes, remember, usual
-from npred.results import Benched, Evaluated, Reported
-from npred.store import short
-from npred.terminal.console import columns
-from npred.terminal.run_log import Events
+from npred.lab.config.results import Benched, Evaluated, Reported
+from npred.lab.report.terminal.console import columns
+from npred.lab.report.terminal.run_log import Events
+from npred.lab.scheduler import executors
+from npred.lab.scheduler.plan import Step
+from npred.lab.scheduler.retention import remember
+from npred.lab.scheduler.runner import Runner
+from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes, usual
+from npred.lab.scheduler.task import Outcome
+from npred.lab.store import short
 
 
 def everything(options: Work) -> None:
@@ -32,8 +37,10 @@ def stage(options: Work, stage_name: str, model: str | None = None, output: Path
 
 def could_pay(options: Work) -> None:
     """Whether a network could pay for a pipeline's plant, or a plant; nothing is trained or stored."""
-    from npred import config, plants, runs
-    from npred.stages.bench import without_networks
+    from npred import plants
+    from npred.lab import config
+    from npred.lab.scheduler import runs
+    from npred.lab.stages.bench import without_networks
 
     source = options.pipeline_name or options.pipeline
     table = runs.table(source)
@@ -51,8 +58,8 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
         stage(options, "report", output=output)
         return
     from npred import plants
-    from npred.figures.style import MEDIA
-    from npred.stages.report.report_data import PipelineResults
+    from npred.lab.report.figures.style import MEDIA
+    from npred.lab.stages.report.report_data import PipelineResults
 
     if medium not in MEDIA:
         raise ConfigError(unlisted("--figures", medium, MEDIA))
@@ -146,8 +153,8 @@ def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
     """The summary of a whole run: the report's sentences, and a table of the predictors."""
-    from npred.stages.bench import timing_tables
-    from npred.stages.report import tables
+    from npred.lab.stages.bench import timing_tables
+    from npred.lab.stages.report import tables
 
     folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
     times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)

@@ -6,22 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from npred import config, defaults, exports, grid, operators, plants
+from npred import exports, plants
+from npred.base import grid
+from npred.base.errors import ConfigError
 from npred.cli.options import Exporting, ExportingLoop, writable, writable_folder
-from npred.conditions import condition
-from npred.config import Evaluate
-from npred.data import shards
-from npred.errors import ConfigError
+from npred.estimation.adaptation import DelayAdaptation
 from npred.exports import FORMATS, TrainedNetwork, WholeController
-from npred.loop.adaptation import DelayAdaptation
+from npred.guard.guarded import Guarded
+from npred.lab import config
+from npred.lab.config import Evaluate, defaults
+from npred.lab.config.conditions import condition
+from npred.lab.scheduler.models import load_model
+from npred.lab.training import operators
+from npred.lab.training.data import shards
 from npred.loop.controller import Controller
 from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
-from npred.pipeline import load_model
+from npred.networks.fused import Fused
 from npred.plants import Plant, inputs
-from npred.predictors import Predictor, numerical
-from npred.predictors.guarded import Guarded
-from npred.runtimes.fused import Fused
+from npred.prediction.methods import Predictor, numerical
 
 NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples

@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from npred.base.errors import ConfigError
 from npred.cli.options import Work, argument, flag
-from npred.errors import ConfigError
 
 if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use for
-    from npred.config import Pipeline
+    from npred.lab.config import Pipeline
+    from npred.lab.config.results import IdentifiedResult
     from npred.plants import Plant
-    from npred.results import IdentifiedResult
 
 MADE = "# made by npred identify"
 
@@ -58,7 +58,7 @@ class Recorded(Work):
     @cached_property
     def config(self) -> "Pipeline":
         """The pipeline of a recording: a plant, and the table [identify]."""
-        from npred import config
+        from npred.lab import config
 
         table: dict[str, Any] = {}
         if self.pipeline.suffix == ".toml":
@@ -107,8 +107,8 @@ def _number(text: str) -> float:
 def identify(options: Recorded, output: Path | None) -> None:
     """The answer of the stage; the page and the pipeline are written beside each other."""
     from npred.cli.execute import bring
-    from npred.results import IdentifiedResult
-    from npred.stages.identify.identify import PAGE
+    from npred.lab.config.results import IdentifiedResult
+    from npred.lab.stages.identify.identify import PAGE
 
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
@@ -128,7 +128,7 @@ def identify(options: Recorded, output: Path | None) -> None:
 
 def _pipeline(options: Recorded, plant: "Plant", result: "IdentifiedResult", path: Path) -> Path:
     """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    from npred.stages.report import toml_text
+    from npred.lab.stages.report import toml_text
 
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MADE):
         raise ConfigError(f"{path}: expected no such file, or one that npred identify made; name another by -o")

@@ -4,13 +4,14 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from npred.base.errors import ConfigError, NpredError, UnmetError, unlisted
+from npred.base.json_files import escaped
+from npred.base.registry import RESOLVERS
 from npred.cli.options import Common, Planned, drawable
-from npred.errors import ConfigError, NpredError, UnmetError, unlisted
-from npred.json_files import escaped
-from npred.pipeline import STAGES, Step, nodes, usual
-from npred.pipeline.reasons import changes, differences, flat
-from npred.registry import RESOLVERS
-from npred.store import Artifact, short
+from npred.lab.scheduler.plan import Step
+from npred.lab.scheduler.reasons import changes, differences, flat
+from npred.lab.scheduler.stage_registry import STAGES, nodes, usual
+from npred.lab.store import Artifact, short
 
 
 def status(options: Planned, check: bool) -> None:
@@ -133,8 +134,9 @@ def check(
     and the text of that to be pasted; a `figure` of the delay margin; `u0` as in a pipeline. Raises UnmetError where an
     answer is no.
     """
-    from npred import config, diagnosis, plants
-    from npred.stages import pipeline_fit
+    from npred import diagnosis, plants
+    from npred.lab import config
+    from npred.lab.scheduler import pipeline_fit
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
@@ -149,7 +151,7 @@ def check(
     if asked.law_table and not options.json:
         options.console.out(f"guess = {asked.guess.tolist()}\n\n{asked.law}")
     if plot:
-        from npred import figures
+        from npred.lab.report import figures
 
         if delay is None:
             delay = pipeline_fit.PipelineFit(asked, pipeline).case().delay if pipeline else diagnosis.longest(asked)[0]

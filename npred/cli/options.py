@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
-from npred import defaults
-from npred.errors import ConfigError
-from npred.terminal.console import Console, columns
+from npred.base.errors import ConfigError
+from npred.lab.config import defaults
+from npred.lab.report.terminal.console import Console, columns
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
-    from npred.config import Pipeline
-    from npred.pipeline import Planner
-    from npred.store import Store
+    from npred.lab.config import Pipeline
+    from npred.lab.scheduler.stage_registry import Planner
+    from npred.lab.store import Store
 
 
 def flag(
@@ -52,7 +52,7 @@ class Common:
     @cached_property
     def results(self) -> "Store":
         """The store of results."""
-        from npred.store import Store
+        from npred.lab.store import Store
 
         return Store(self.store)
 
@@ -92,14 +92,14 @@ class Planned(Common):
     @cached_property
     def config(self) -> "Pipeline":
         """The pipeline, resolved."""
-        from npred import config
+        from npred.lab import config
 
         return config.load(self.pipeline, self.set)
 
     def planner(self, forced: frozenset[str] = frozenset(), borrows: bool = False) -> "Planner":
         """The pipeline against the store; `borrows` as for Planner."""
-        from npred.parallel import devices
-        from npred.pipeline import Planner
+        from npred.base import devices
+        from npred.lab.scheduler.stage_registry import Planner
 
         return Planner(self.config, self.results, devices.resolve(self.device), forced, borrows)
 
@@ -171,7 +171,7 @@ def writable(path: Path) -> Path:
 
 def drawable(path: Path) -> Path:
     """The path. Raises ConfigError where no figure can be written there."""
-    from npred.figures.figure import FORMATS
+    from npred.lab.report.figures.figure import FORMATS
 
     if path.suffix[1:] not in FORMATS:
         raise ConfigError(f"--figure: expected a file that ends in {', '.join(FORMATS)}, got {path}; name another")

@@ -11,14 +11,14 @@ from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from npred import json_files
+from npred.base import json_files
+from npred.base.errors import ConfigError
 from npred.cli.options import Planned, Work
-from npred.errors import ConfigError
-from npred.pipeline import Outcome
+from npred.lab.scheduler.task import Outcome
 
 if TYPE_CHECKING:
-    from npred.figures.style import Style
-    from npred.stages.report.report_data import PipelineResults
+    from npred.lab.report.figures.style import Style
+    from npred.lab.stages.report.report_data import PipelineResults
 
 NAME = "report.html"  # in a result
 SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of
@@ -58,7 +58,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
 
 def write_figures(results: "PipelineResults", folder: Path, style: "Style") -> list[Path]:
     """The files of the figures and tables, written in the style of a medium; a folder is made where there is none."""
-    from npred.figures import write
+    from npred.lab.report.figures import write
 
     folder.mkdir(parents=True, exist_ok=True)
     files = []

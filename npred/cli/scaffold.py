@@ -9,9 +9,9 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from npred import defaults
+from npred.base.errors import ConfigError
 from npred.cli.options import Common
-from npred.errors import ConfigError
+from npred.lab.config import defaults
 
 if TYPE_CHECKING:
     from npred.plants import Plant
@@ -42,7 +42,7 @@ def init(options: Common, name: str, source: str | None = None) -> None:
 
 
 def _filled(template: str, name: str, class_name: str) -> str:
-    text = (files("npred") / "templates" / template).read_text(encoding="utf-8")
+    text = (files("npred.cli") / "templates" / template).read_text(encoding="utf-8")
     return text.replace("NAME", name).replace("CLASS", class_name)
 
 
@@ -65,7 +65,7 @@ def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
 
 def _renamed(source: str, plant: "Plant", class_name: str) -> str:
     """The text of a plant's file with its class renamed to `class_name`; of a family, with a class for this member."""
-    from npred import registry
+    from npred.base import registry
 
     in_file = registry.in_file(source)
     # a declaration without V is completed by a class of npred below it

@@ -5,13 +5,13 @@ import platform
 from collections.abc import Iterator
 from pathlib import Path
 
+from npred.base import devices
+from npred.base.errors import StoreError, installed
 from npred.cli.gc import shortened
 from npred.cli.options import Common
-from npred.errors import StoreError, installed
 from npred.kernels import compiler
-from npred.parallel import devices
-from npred.store import Artifact
-from npred.store.manifest import NAME
+from npred.lab.store import Artifact
+from npred.lab.store.manifest import NAME
 
 SHOWN = 4  # names of results on a line
 PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer", "onnxruntime",

@@ -12,19 +12,22 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from npred import figures
+from npred.base import devices
+from npred.base.errors import ConfigError, NpredError, room_on_disk, unlisted
+from npred.base.progress import counted
 from npred.cli.options import Running, writable_folder
 from npred.cli.report import free_path, sign
-from npred.errors import ConfigError, NpredError, room_on_disk, unlisted
-from npred.figures.figure import Figure, Panel, legend
-from npred.figures.style import ROLES, line_of, log
-from npred.parallel import devices, executors
-from npred.pipeline import STAGES, CellRun, Planner, Runner, nodes, remember
-from npred.pipeline.cells import Cell, cells
-from npred.progress import counted
-from npred.results import Benched, Evaluated, PredictorId, Trained, ranked
-from npred.results.evaluate import Scores
-from npred.terminal.console import columns
+from npred.lab.config.results import Benched, Evaluated, PredictorId, Trained, ranked
+from npred.lab.config.results.evaluate import Scores
+from npred.lab.report import figures
+from npred.lab.report.figures.figure import Figure, Panel, legend
+from npred.lab.report.figures.style import ROLES, line_of, log
+from npred.lab.report.terminal.console import columns
+from npred.lab.scheduler import executors
+from npred.lab.scheduler.cells import Cell, cells
+from npred.lab.scheduler.retention import remember
+from npred.lab.scheduler.runner import CellRun, Runner
+from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

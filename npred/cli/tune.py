@@ -4,19 +4,19 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-from npred import config
+from npred.base import devices
+from npred.base.errors import ConfigError
 from npred.cli.options import Planned, writable
-from npred.config import Pipeline
-from npred.config.section import moved
-from npred.errors import ConfigError
-from npred.parallel import devices
+from npred.lab import config
+from npred.lab.config import Pipeline
+from npred.lab.config.results import Tuned
+from npred.lab.config.section import moved
+from npred.lab.report.terminal import interruption
+from npred.lab.report.terminal.console import columns
+from npred.lab.stages.report import toml_text
+from npred.lab.stages.tuning.cost import ALPHA, LAW, LqrWeights
+from npred.lab.stages.tuning.tune import tune as search
 from npred.plants import Plant
-from npred.results import Tuned
-from npred.stages.report import toml_text
-from npred.terminal import interruption
-from npred.terminal.console import columns
-from npred.tuning.cost import ALPHA, LAW, LqrWeights
-from npred.tuning.tune import tune as search
 
 MADE = "# made by npred tune"
 

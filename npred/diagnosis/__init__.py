@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from npred.base.errors import ConfigError
 from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov, region
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
-from npred.errors import ConfigError
 from npred.plants import inputs
 from npred.plants.base import Plant
 

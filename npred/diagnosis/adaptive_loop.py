@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from npred.delays import problem_of
 from npred.diagnosis.case import FROZEN, OBSERVER, PAPER, Case, Verdict
 from npred.diagnosis.equilibrium import FALLING, HOME, distances, times
-from npred.loop.adaptation import DelayAdaptation
+from npred.estimation.adaptation import DelayAdaptation
+from npred.estimation.delay_observer import DelayObserver
 from npred.loop.closed_loop import simulate
-from npred.loop.delay_observer import DelayObserver
 from npred.loop.trajectories import Trajectories
-from npred.predictors import RK4
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
 
 STARTS = 3  # of the box
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no experiment gives first estimates

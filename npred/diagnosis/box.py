@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from npred.delays import problem_of
+from npred.base.errors import unlisted
 from npred.diagnosis.case import Case, Verdict
-from npred.errors import unlisted
+from npred.formulas import programs
+from npred.formulas.trace import Trace
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import RK4
-from npred.symbolic import programs
-from npred.symbolic.trace import Trace
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
 
 STABLE = 2.0  # h rho(f_X) from which on Euler, Heun and Picard diverge
 FINE = 1001  # nodes on which a stiff plant is still integrated

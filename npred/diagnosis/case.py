@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from npred import randomness, source_lines
-from npred.delays import problem_of
-from npred.errors import ConfigError
+from npred.base import randomness, source_lines
+from npred.base.errors import ConfigError
 from npred.plants import inputs
 from npred.plants.base import Plant
+from npred.prediction.delays import problem_of
 
 if TYPE_CHECKING:
     from npred.diagnosis.adaptive_loop import AdaptiveLoops

@@ -17,9 +17,9 @@ loops of the inputs that have arrived are closed, and with L the longest D_hat_j
 import numpy as np
 from numpy.typing import NDArray
 
-from npred import array_checks
+from npred.base import array_checks
+from npred.base.errors import ConfigError
 from npred.diagnosis.case import Case, Verdict
-from npred.errors import ConfigError
 from npred.plants.base import Plant, require
 
 SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looked at up to there

@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from npred import source_lines
+from npred.base import source_lines
 from npred.diagnosis.case import Case, Verdict
+from npred.formulas import array_math, programs
+from npred.formulas.tape import names
+from npred.formulas.trace import Trace, python
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import RK4
-from npred.symbolic import array_math, programs
-from npred.symbolic.tape import names
-from npred.symbolic.trace import Trace, python
+from npred.prediction.methods import RK4
 
 HORIZON = 100.0  # s, over which a reference and its loops are looked at where no experiment says how long
 SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate

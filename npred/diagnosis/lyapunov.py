@@ -3,12 +3,12 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
+from npred.estimation.adaptation import undeclared
+from npred.formulas import programs
+from npred.formulas.tape import names
+from npred.formulas.trace import Trace, python
 from npred.laws.law import error
 from npred.laws.regulator import lyapunov
-from npred.loop.adaptation import undeclared
-from npred.symbolic import programs
-from npred.symbolic.tape import names
-from npred.symbolic.trace import Trace, python
 
 NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
 DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'

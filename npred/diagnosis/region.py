@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from npred import plants
+from npred.base.errors import ConfigError
+from npred.base.registry import LAWS
 from npred.diagnosis import equilibrium
 from npred.diagnosis.case import Answer, Case
-from npred.errors import ConfigError
 from npred.plants.base import Plant
-from npred.registry import LAWS
 
 EIGHTHS, HALF = 8, 4  # sub-boxes that are looked at, and the one that a law should converge from
 

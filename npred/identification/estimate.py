@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred import randomness
+from npred.base import randomness
 from npred.identification import search
 from npred.identification.fit import Problem, SegmentFit, better
 from npred.identification.search import LEVEL, Profile

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from npred.base.notebook import InNotebook
 from npred.identification.alternatives import Alternative
 from npred.identification.estimate import Parameter
-from npred.notebook import InNotebook
 from npred.plants import Plant
 
 CERTAIN = 0.5  # of the range of delays: a wider interval says nothing

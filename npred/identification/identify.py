@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks, progress, randomness, recordings
-from npred.errors import ConfigError, unlisted
-from npred.identification import alternatives
+from npred.base import array_checks, progress, randomness
+from npred.base.errors import ConfigError, unlisted
+from npred.formulas import programs
+from npred.formulas.trace import Trace
+from npred.identification import alternatives, recordings
 from npred.identification.estimate import Delays, estimate, parameters
 from npred.identification.fit import Prior, Problem
 from npred.identification.identified import Findings, Identified, Windows
@@ -17,8 +19,6 @@ from npred.identification.log import Log, Segments, spread
 from npred.identification.model import MeasuredOutputs, RolloutModel
 from npred.plants import Plant
 from npred.plants.base import require
-from npred.symbolic import programs
-from npred.symbolic.trace import Trace
 
 FAR = 3.0  # widths of the box beyond it
 WINDOW = 8, 20  # segments of a window, and windows, at most

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 
 Series = tuple[np.ndarray, np.ndarray]  # times and values
 

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from npred import plants
+from npred.formulas import programs, tape
+from npred.formulas.called_functions import LONG, operations
+from npred.formulas.trace import Trace, python
 from npred.identification.log import Pieces
 from npred.kernels import formula, kernel
 from npred.kernels.formula import vector
 from npred.plants import Plant
-from npred.predictors.runge_kutta import RK4
-from npred.symbolic import programs, tape
-from npred.symbolic.called_functions import LONG, operations
-from npred.symbolic.trace import Trace, python
+from npred.prediction.methods.runge_kutta import RK4
 
 ROLLOUT = "k, X, held, spans, moments, p, &P"
 STEP = 1e-6  # of a difference, relative

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from npred.json_files import escaped
+from npred.base.json_files import escaped
 
 SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 FUNCTIONS = ["sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "fabs", "pow", "asinh", "rint", "floor"]

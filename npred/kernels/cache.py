@@ -12,8 +12,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from npred import json_files
-from npred.errors import MissingError, NpredError, disk_is_full
+from npred.base import json_files
+from npred.base.errors import MissingError, NpredError, disk_is_full
 
 VARIABLE, HOME = "NPRED_CACHE", "XDG_CACHE_HOME"
 SEAL = "digests.json"

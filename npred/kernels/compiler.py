@@ -17,8 +17,8 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from npred import progress
-from npred.errors import MissingError, NpredError, disk_is_full, first_line
+from npred.base import progress
+from npred.base.errors import MissingError, NpredError, disk_is_full, first_line
 from npred.kernels import cache as disk
 
 COMPILERS = ("cc", "gcc", "clang")

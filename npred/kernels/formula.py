@@ -13,8 +13,8 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from npred.symbolic import programs
-from npred.symbolic.tape import OPS, Vector
+from npred.formulas import programs
+from npred.formulas.tape import OPS, Vector
 
 TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} != 0 ? {1} : {2}",

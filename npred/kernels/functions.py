@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from npred.formulas import called_functions
+from npred.formulas.trace import Trace
 from npred.kernels import formula
 from npred.kernels.formula import Strided, vector
-from npred.symbolic import called_functions
-from npred.symbolic.trace import Trace
 
 
 class Formulas:

@@ -1,9 +1,9 @@
 """Laws kappa that are designed from f alone: what is designed without delay is applied to P by npred.
 
-Each is a file and a line of npred.registry.LAWS: a function of a plant that gives a kappa(x, t, p, M).
+Each is a file and a line of npred.base.registry.LAWS: a function of a plant that gives a kappa(x, t, p, M).
 """
 
-from npred.docstrings import documented
+from npred.base.docstrings import documented
 from npred.laws.law import Law
 from npred.laws.linearisation import feedback_linearisation
 from npred.laws.placement import pole_placement

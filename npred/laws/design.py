@@ -5,13 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from npred import randomness, source_lines
-from npred.errors import ConfigError
+from npred.base import randomness, source_lines
+from npred.base.errors import ConfigError
+from npred.formulas import Value, programs
+from npred.formulas.tape import M, Symbol, Vector, names
+from npred.formulas.trace import Trace, python
 from npred.plants import inputs
 from npred.plants.base import REST, Plant, require
-from npred.symbolic import Value, programs
-from npred.symbolic.tape import M, Symbol, Vector, names
-from npred.symbolic.trace import Trace, python
 
 SAMPLES = 256  # states of the box
 SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from npred.formulas import Parameters, Value, programs
+from npred.formulas.tape import FUNCTIONS, OPS, Functions, Vector, names
+from npred.formulas.trace import Trace
 from npred.plants.base import Plant
-from npred.symbolic import Parameters, Value, programs
-from npred.symbolic.tape import FUNCTIONS, OPS, Functions, Vector, names
-from npred.symbolic.trace import Trace
 
 DIGITS = 8  # of a gain: more would differ between libraries of linear algebra, and results are keyed by them
 SMALL = 1e-9  # of a law's largest term: rounding

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.formulas import Value, programs
+from npred.formulas.declared import record
+from npred.formulas.tape import M, Vector
 from npred.laws import placement
 from npred.laws.design import ZERO, Design, acts, samples, solved
 from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import gains
 from npred.plants.base import Plant
-from npred.symbolic import Value, programs
-from npred.symbolic.declared import record
-from npred.symbolic.tape import M, Vector
 
 REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
 MOST = 5000  # combinations of states that are tried as outputs

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from npred import randomness
+from npred.base import randomness
 from npred.laws.design import Design
 from npred.laws.law import Law
 from npred.laws.regulator import along

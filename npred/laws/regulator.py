@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks
-from npred.errors import ConfigError
+from npred.base import array_checks
+from npred.base.errors import ConfigError
+from npred.formulas import Value
 from npred.laws.design import Design
 from npred.laws.law import Law, linear, rounded, written
 from npred.plants.base import Plant
-from npred.symbolic import Value
 
 STEPS = 100  # of Newton's method for the sign of a matrix, which doubles its digits in each
 CLOSE = 1e-13  # the relative change at which it ends

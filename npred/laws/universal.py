@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from npred.formulas import Value, programs
+from npred.formulas.declared import record
+from npred.formulas.tape import M, names
+from npred.formulas.trace import python
 from npred.laws.design import SAMPLES, Design, samples
 from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import gains
 from npred.plants.base import Plant
-from npred.symbolic import Value, programs
-from npred.symbolic.declared import record
-from npred.symbolic.tape import M, names
-from npred.symbolic.trace import python
 
 LQR = "lqr"  # the V of the regulator's Riccati equation
 SMOOTH = 1e-6  # of the usual |a, b| on the box: where the formula passes into the linear law

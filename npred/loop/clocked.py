@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from npred.errors import ConfigError
+from npred.base import devices
+from npred.base.errors import ConfigError
+from npred.estimation.observers import Observer
 from npred.loop import measurement as sensing
 from npred.loop import signals
 from npred.loop.controller import OLDEST, Controller
@@ -21,8 +23,6 @@ from npred.loop.loop import HISTORY, Loop
 from npred.loop.signals import Events, Record
 from npred.loop.timing import Timing, schedule
 from npred.loop.trajectories import OnAClock
-from npred.observers import Observer
-from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
 
@@ -57,7 +57,7 @@ class Clocked:
     of: Loop
     count: int
     every: int
-    advance: Any  # npred.delays.family.ADVANCE of the simulated plant
+    advance: Any  # npred.prediction.delays.family.ADVANCE of the simulated plant
     pushes: np.ndarray  # (count, m, 0, 1 or B)
 
     def run(

@@ -10,24 +10,24 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks
-from npred.delays import problem_of
-from npred.delays.constant import ConstantDelay
-from npred.errors import ConfigError
-from npred.loop import clocked, delay_law, engine, loop_checks, signals
+from npred.base import array_checks, devices
+from npred.base.errors import ConfigError
+from npred.base.progress import announce, counted, quiet
+from npred.estimation import delay_law
+from npred.estimation.delay_law import DelayLaw, Part, part
+from npred.loop import clocked, engine, loop_checks, signals
 from npred.loop import measurement as sensing
 from npred.loop.actuator import history
 from npred.loop.clocked import Clocked
-from npred.loop.delay_law import DelayLaw, Part, part
 from npred.loop.engine import Engine
 from npred.loop.loop import HISTORY, Loop, LoopParts
 from npred.loop.signals import Record, Settings, State
 from npred.loop.trajectories import Samples, Trajectories, of_record
-from npred.parallel import devices
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import RK4, OneStep, Predictor
-from npred.progress import announce, counted, quiet
+from npred.prediction.delays import problem_of
+from npred.prediction.delays.constant import ConstantDelay
+from npred.prediction.methods import RK4, OneStep, Predictor
 
 __all__ = ["Samples", "Trajectories", "simulate"]
 

@@ -7,22 +7,22 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from npred import array_checks, source_lines
-from npred.delays import problem_of
-from npred.errors import ConfigError, DivergedError
+from npred.base import array_checks, source_lines
+from npred.base.errors import ConfigError, DivergedError
+from npred.base.notebook import InNotebook
+from npred.estimation.delay_law import DelayLaw, part
+from npred.estimation.observers import Observer
 from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import ROUNDING, SNAP, history
 from npred.loop.clock import Clock
-from npred.loop.delay_law import DelayLaw, part
 from npred.loop.engine import Engine
 from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.watchdog import Watchdog
-from npred.notebook import InNotebook
-from npred.observers import Observer
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.predictors import RK4, Predictor
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4, Predictor
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import problem_of
 from npred.kernels import compiler
 from npred.kernels.callback import Failure, callback
 from npred.kernels.kernel import Kernel, Shape, address, skeleton
 from npred.loop import signals
+from npred.loop.safety import SafetyFilter
 from npred.loop.signals import PARTS, Events, Record, Settings, State
 from npred.plants.base import Plant
-from npred.predictors import RK4
-from npred.predictors.base import OneStep, Predictor
-from npred.safety import SafetyFilter
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
+from npred.prediction.methods.base import OneStep, Predictor
 
 LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "marks.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from npred.errors import ConfigError, required
+from npred.base.errors import ConfigError, required
 from npred.loop.controller import Controller
 
 

@@ -4,15 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, Self, TypedDict
 
-from npred.errors import ConfigError, similar
-from npred.loop.delay_law import DelayLaw
+from npred.base.errors import ConfigError, similar
+from npred.estimation.delay_law import DelayLaw
+from npred.estimation.observers import Observer
 from npred.loop.measurement import Measurement
+from npred.loop.safety import SafetyFilter
 from npred.loop.timing import Timing
 from npred.loop.watchdog import Watchdog
-from npred.observers import Observer
 from npred.plants.base import Plant
-from npred.predictors import Predictor
-from npred.safety import SafetyFilter
+from npred.prediction.methods import Predictor
 
 MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
 

@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks
-from npred.delays import problem_of
-from npred.errors import ConfigError, unlisted
+from npred.base import array_checks
+from npred.base.errors import ConfigError, unlisted
+from npred.estimation.delay_law import DelayLaw
 from npred.loop.actuator import ROUNDING
-from npred.loop.delay_law import DelayLaw
 from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
+from npred.loop.safety import SafetyFilter
 from npred.plants.base import Plant
-from npred.predictors import OneStep, Predictor, method
-from npred.safety import SafetyFilter
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import OneStep, Predictor, method
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:

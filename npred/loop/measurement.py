@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from npred import array_checks
-from npred.errors import ConfigError
+from npred.base import array_checks
+from npred.base.errors import ConfigError
 from npred.loop.actuator import acting
 from npred.plants.base import Plant
 
@@ -128,7 +128,9 @@ def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[st
 
 
 def observed(observer: Observer) -> Callable[..., None]:
-    """npred.delays.family.ESTIMATE by a user's observer. Raises ConfigError where it returns another shape."""
+    """family.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError where it returns another
+    shape.
+    """
 
     def step(k: int, origin: int, dt: float, D_seen: Any, held: Any, Y: Any, X_hat: Any) -> None:
         acting(origin + max(k - 1, 0), dt, D_seen, held, U := np.empty_like(D_seen))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import grid
+from npred.base import grid
 from npred.loop.closed_loop import Trajectories
 from npred.plants.base import Plant
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.delays import family
 from npred.kernels.kernel import address, prototype
 from npred.loop import clock
+from npred.prediction.delays import family
 
 C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
 NUMBERS = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "int": ctypes.c_int}

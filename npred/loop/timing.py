@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred import array_checks
-from npred.errors import ConfigError
+from npred.base import array_checks
+from npred.base.errors import ConfigError
 from npred.loop.actuator import ROUNDING, SNAP
 from npred.loop.measurement import Measurement
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from npred.delays import problem_of
 from npred.loop import trajectory_views
 from npred.loop.signals import Record
 from npred.plants.base import Plant
-from npred.predictors import RK4, Predictor
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4, Predictor
 
 # arrays led by the batch's axes
 SERIES = (

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from npred import array_checks, notebook
-from npred.errors import ConfigError, MissingError
+from npred.base import array_checks, notebook
+from npred.base.errors import ConfigError, MissingError
 
 if TYPE_CHECKING:
     from npred.loop.trajectories import Trajectories

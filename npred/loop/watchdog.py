@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from npred import array_checks
-from npred.delays import problem_of
-from npred.errors import ConfigError, unlisted
+from npred.base import array_checks
+from npred.base.errors import ConfigError, unlisted
 from npred.kernels.kernel import Kernel
 from npred.plants import Plant, make
-from npred.predictors import RK4
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Watchdog:
         return np.full(m, np.inf) if self.jump is None else _one_per_input("jump", self.jump, m)
 
     def law(self, plant: Plant) -> Kernel | Callable[..., None] | None:
-        """npred.delays.family.CONTROL of its law, or None."""
+        """npred.prediction.delays.family.CONTROL of its law, or None."""
         if not callable(self.then):
             return None
         declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})

@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from npred import registry
-from npred.errors import ConfigError, similar, unlisted
+from npred.base import registry
+from npred.base.errors import ConfigError, similar, unlisted
 from npred.plants import builtin
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox

@@ -6,15 +6,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred import registry, source_lines
-from npred.errors import ConfigError
-from npred.notebook import InNotebook
+from npred.base import registry, source_lines
+from npred.base.errors import ConfigError
+from npred.base.notebook import InNotebook
+from npred.base.registry import Source
+from npred.formulas import Array, Value, array_math, programs
+from npred.formulas.declared import Components, call
+from npred.formulas.tape import Functions, names
+from npred.formulas.trace import Trace, python
 from npred.plants import declaration as declared
-from npred.registry import Source
-from npred.symbolic import Array, Value, array_math, programs
-from npred.symbolic.declared import Components, call
-from npred.symbolic.tape import Functions, names
-from npred.symbolic.trace import Trace, python
 
 REST = 1e-9  # of max(1, |X|): below this residual X rests
 
@@ -25,10 +25,9 @@ class Plant(InNotebook):
     A declaration is a class with `states`, `inputs` (names) and the functions f(x, u, t, p, M), kappa(x, t, p, M) and
     V(x, t, p, M); optional are `parameters` (name to default), `box` (state to range, for experiments), `guess` (where
     the equilibrium is searched from), `input_bounds` (a range per input), `state_bounds` (state to the range in which
-    it stops, as if a wall were there), `delays` (seconds, one per input, where they
-    differ), `mechanics` (M(q), force and damping of M q'' = force - damping q', for npred.predictors.semi_implicit),
-    what figures write: `labels` and `units` (by state or input), `time_unit` ("s" by default) and `figure`
-    (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
+    it stops, as if a wall were there), `delays` (seconds, one per input, where they differ), `mechanics` (M(q), force
+    and damping of M q'' = force - damping q', for the method semi_implicit), what figures write: `labels` and `units`
+    (by state or input), `time_unit` ("s" by default) and `figure` (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
     trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,
     exp, where … A law `kappa` that is passed takes the place of the declaration's.
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.

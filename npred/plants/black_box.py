@@ -9,13 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import json_files, registry
-from npred.errors import ConfigError
+from npred.base import json_files, registry
+from npred.base.errors import ConfigError
+from npred.base.registry import Source
+from npred.formulas import Array, Value
+from npred.formulas.declared import RETURNS, Components, failure, parameters
+from npred.formulas.tape import Functions
 from npred.plants.base import Plant
-from npred.registry import Source
-from npred.symbolic import Array, Value
-from npred.symbolic.declared import RETURNS, Components, failure, parameters
-from npred.symbolic.tape import Functions
 
 STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
 UNDEFINED = (ArithmeticError, ValueError)  # where arrays give NaN Python's floats raise these: overflow, a domain

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
-from npred.errors import ConfigError, similar, unlisted
+from npred.base.errors import ConfigError, similar, unlisted
 
 NAME = re.compile(r"\w[\w., -]{0,99}")
 LONGEST = 40  # letters of a label or a unit

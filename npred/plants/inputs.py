@@ -7,8 +7,8 @@ from typing import TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred import array_checks, randomness, source_lines
-from npred.errors import ConfigError, unlisted
+from npred.base import array_checks, randomness, source_lines
+from npred.base.errors import ConfigError, unlisted
 from npred.plants.base import Plant
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name

@@ -12,15 +12,15 @@ from jobs import job, trained
 from operator_samples import SMALL
 
 import npred
-from npred import operators
-from npred.data.dataset import Dataset
+from npred.guard.guarded import Guarded
+from npred.lab.config.results import Certified, PredictorId
+from npred.lab.stages.certify import certify, rollouts
+from npred.lab.stages.certify.table import Certify
+from npred.lab.training import operators
+from npred.lab.training.data.dataset import Dataset
+from npred.lab.training.neural import Neural
 from npred.loop import metrics
-from npred.predictors import RK4, Predictor
-from npred.predictors.guarded import Guarded
-from npred.predictors.neural import Neural
-from npred.results import Certified, PredictorId
-from npred.stages.certify import certify, rollouts
-from npred.stages.certify.table import Certify
+from npred.prediction.methods import RK4, Predictor
 from npred_experiments import adversary, certificates
 from npred_experiments.evolution import Inputs
 
@@ -95,7 +95,7 @@ def test_calls_have_the_delay_that_the_plant_declares_at_their_states_and_times(
 
 def test_the_gradient_climbs_through_a_network(certified):
     (task, _), _, data = certified
-    from npred.stages.evaluate import networks
+    from npred.lab.stages.evaluate import networks
 
     network = networks.load(task, PredictorId("deeponet"))
     inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))

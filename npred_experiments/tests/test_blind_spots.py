@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import npred
-from npred.data.dataset import Dataset
-from npred.data.domain import Domain
-from npred.predictors import RK4, Predictor
-from npred.predictors.guarded import Guarded
-from npred.stages.certify import rollouts
-from npred.stages.certify.table import Certify
+from npred.guard.guarded import Guarded
+from npred.lab.stages.certify import rollouts
+from npred.lab.stages.certify.table import Certify
+from npred.lab.training.data.dataset import Dataset
+from npred.networks.domain import Domain
+from npred.prediction.methods import RK4, Predictor
 from npred_experiments import adversary
 from npred_experiments.evolution import Inputs
 

@@ -7,8 +7,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
 import npred
-from npred import grid
-from npred.errors import ConfigError
+from npred.base import grid
+from npred.base.errors import ConfigError
 from npred.plants import Plant
 from npred_experiments import bounds
 from npred_experiments.bounds import Curve, ErrorBound

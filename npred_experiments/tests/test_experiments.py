@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import npred_experiments
-from npred.store import Store
-from npred.terminal.console import Console
+from npred.lab.report.terminal.console import Console
+from npred.lab.store import Store
 from npred_experiments import EXPERIMENTS, rows
 from npred_experiments.experiment import NUMERICAL, Place, load
 from npred_experiments.planner import ExperimentPlanner

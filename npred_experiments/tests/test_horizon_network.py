@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 from silent import Silent
 
-from npred.operators import Operator
-from npred.terminal.console import Console
+from npred.lab.report.terminal.console import Console
+from npred.lab.training.operators import Operator
 from npred_experiments import horizon_network, horizons, prediction_horizons
 from npred_experiments.experiment import TrainedForLoop
 

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import npred
-from npred.symbolic.tape import M, Tape
-from npred.symbolic.trace import python
+from npred.formulas.tape import M, Tape
+from npred.formulas.trace import python
 from npred_experiments.intervals import Interval, interval
 
 FORMULAS = {

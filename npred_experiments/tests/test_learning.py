@@ -8,8 +8,8 @@ import pytest
 import reproduced
 import torch
 
-from npred.operators import load
-from npred.terminal.console import Console
+from npred.lab.report.terminal.console import Console
+from npred.lab.training.operators import load
 from npred_experiments import learning, network_loop
 from npred_experiments.experiment import Place
 from npred_experiments.experiment import load as load_experiment

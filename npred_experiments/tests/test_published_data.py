@@ -14,10 +14,10 @@ from jobs import job
 from typer.testing import CliRunner
 
 from npred import plants
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.data.dataset import Dataset
-from npred.errors import ConfigError
-from npred.stages.generate import generate
+from npred.lab.stages.generate import generate
+from npred.lab.training.data.dataset import Dataset
 from npred_experiments import published_data
 
 PLANT = plants.resolve("activator_repressor")

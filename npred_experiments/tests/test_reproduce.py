@@ -12,7 +12,7 @@ import pytest
 from reproduced import small_loop
 from typer.testing import CliRunner
 
-from npred import registry
+from npred.base import registry
 from npred.cli import app
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import Experiment, Measured, PublishedNumber, networks

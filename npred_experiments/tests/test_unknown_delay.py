@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from conftest import HERE
 
-from npred import config
+from npred.lab import config
 from npred_experiments import activator_unknown_delay, chemostat_unknown_delay
 
 STEP = 1e-6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred.config import Evaluate
+from npred.lab.config import Evaluate
 from npred.loop.measurement import Sensors
 from npred_rig.network import Packet
 from npred_rig.sides import DelayedPlant, sensed

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred_rig.network import STOP, Channel
 
 COUNT = 20_000

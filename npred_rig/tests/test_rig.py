@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import npred
 from npred.cli import app
-from npred.predictors.guarded import Guarded
+from npred.guard.guarded import Guarded
 from npred_rig import rig
 from npred_rig.command import Rigged
 from npred_rig.network import Channel

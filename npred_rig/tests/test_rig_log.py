@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred import figures
+from npred.lab.report import figures
 from npred_rig import figure, log
 
 PLANT, DT = npred.plant("scalar"), 0.01

@@ -8,7 +8,7 @@ from npred import plants
 from npred.diagnosis import equilibrium
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 from npred_experiments import manipulator
 
 FIVE = plants.resolve("baxter_arm5")

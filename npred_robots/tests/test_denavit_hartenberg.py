@@ -4,7 +4,7 @@ import numpy as np
 import pin_models
 import pytest
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred_robots import baxter, denavit_hartenberg, rigid_body
 from npred_robots.denavit_hartenberg import Link
 

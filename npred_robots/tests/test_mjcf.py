@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import plants
-from npred.errors import ConfigError, MissingError
+from npred.base.errors import ConfigError, MissingError
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
-from npred.predictors.rollout import Rollout
+from npred.prediction.methods import RK4
+from npred.prediction.methods.rollout import Rollout
 from npred_robots import mujoco_chain
 
 FILE = Path(__file__).with_name("arm.xml")

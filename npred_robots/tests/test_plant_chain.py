@@ -6,13 +6,13 @@ import pytest
 from six_joint import SIX, TEXT
 
 from npred import plants
+from npred.base.errors import ConfigError, MissingError
 from npred.diagnosis import equilibrium
-from npred.errors import ConfigError, MissingError
+from npred.lab.scheduler.configuration import identity
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
-from npred.predictors import RK4
-from npred.stages.configuration import identity
+from npred.prediction.methods import RK4
 from npred_robots import pin_chain
 from npred_robots.chain import chain
 

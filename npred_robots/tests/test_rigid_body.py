@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from six_joint import SIX
 
-from npred.symbolic import array_math
+from npred.formulas import array_math
 from npred_robots import rigid_body, urdf
 from npred_robots.rigid_body import Body
 

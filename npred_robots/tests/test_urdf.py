@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from six_joint import SIX, TEXT
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred_robots import urdf
 
 

@@ -18,10 +18,10 @@ from stopped_runs import Process, stopped_in
 from typer.testing import CliRunner, Result
 
 import npred
+from npred.base.registry import STAGES, declared_stage
 from npred.cli import app, inspect
-from npred.registry import STAGES, declared_stage
-from npred.results import Evaluated
-from npred.store import Question, ResultInput, Store
+from npred.lab.config.results import Evaluated
+from npred.lab.store import Question, ResultInput, Store
 
 
 def actions(result: Result) -> dict[str, str]:

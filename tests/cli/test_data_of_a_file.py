@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from npred.cli import app
-from npred.data.dataset import Dataset
+from npred.lab.training.data.dataset import Dataset
 
 PIPELINE = """
 name = "{name}"

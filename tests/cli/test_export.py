@@ -14,9 +14,9 @@ from conftest import process_environment
 from typer.testing import CliRunner
 
 import npred
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.errors import ConfigError
-from npred.runtimes import c_files
+from npred.exports import c_files
 
 TEXT = """
 plant = "activator_repressor"

@@ -9,9 +9,9 @@ import pytest
 from conftest import Call, document, one_line
 from store_samples import made_at
 
-from npred.errors import NpredError
-from npred.parallel import devices
-from npred.store import MARKER, Store
+from npred.base import devices
+from npred.base.errors import NpredError
+from npred.lab.store import MARKER, Store
 
 NEVER_MIND = ("run", "tiny.toml", "--jobs", "1")
 

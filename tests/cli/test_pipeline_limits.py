@@ -11,14 +11,17 @@ from conftest import settings_of
 from typer.testing import CliRunner
 
 import npred
-from npred import config, operators, randomness
+from npred.base import randomness
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.conditions import starts
-from npred.errors import ConfigError
-from npred.pipeline import Node, load_model
-from npred.predictors import RK4
-from npred.runtimes.fused import Fused
-from npred.stages import pipeline_fit
+from npred.lab import config
+from npred.lab.config.conditions import starts
+from npred.lab.scheduler import pipeline_fit
+from npred.lab.scheduler.models import load_model
+from npred.lab.scheduler.plan import Node
+from npred.lab.training import operators
+from npred.networks.fused import Fused
+from npred.prediction.methods import RK4
 
 CART = """
 class Cart:

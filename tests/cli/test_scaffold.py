@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from npred import config, plants
+from npred import plants
 from npred.cli import app
 from npred.diagnosis import check
-from npred.stages.pipeline_fit import require
+from npred.lab import config
+from npred.lab.scheduler.pipeline_fit import require
 
 SMALL = (
     *("generate.samples=200", "generate.rollouts=4", "generate.t_end=4", "train.deeponet.epochs=1"),

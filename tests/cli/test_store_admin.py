@@ -11,7 +11,7 @@ import pytest
 from conftest import Call, document, one_line
 from store_samples import made_at
 
-from npred.store import Store
+from npred.lab.store import Store
 
 
 @pytest.fixture

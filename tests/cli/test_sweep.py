@@ -12,8 +12,8 @@ import pytest
 from conftest import Call, document, one_line
 from stopped_runs import stopped_in
 
-from npred.errors import DivergedError
-from npred.store import Store
+from npred.base.errors import DivergedError
+from npred.lab.store import Store
 
 GRID = ("--set", "train.fno.width=4,8", "--set", "seed=0:2")
 

@@ -11,10 +11,11 @@ from result_samples import BENCHED, SCORES, evaluated, timing
 
 from npred.cli import sweep as sweep_table
 from npred.cli.sweep import Row, rows_of
-from npred.pipeline import STAGES, Planner, Runner
-from npred.pipeline.cells import cells
-from npred.store import Store
-from npred.terminal.console import Console
+from npred.lab.report.terminal.console import Console
+from npred.lab.scheduler.cells import cells
+from npred.lab.scheduler.runner import Runner
+from npred.lab.scheduler.stage_registry import STAGES, Planner
+from npred.lab.store import Store
 
 
 def test_a_row_has_errors_radius_and_the_fastest_runtime(

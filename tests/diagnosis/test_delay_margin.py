@@ -7,8 +7,8 @@ from scipy.optimize import brentq, fsolve
 from scipy.special import lambertw
 
 import npred
+from npred.base.errors import ConfigError
 from npred.diagnosis.delay_margin import MismatchedLoop
-from npred.errors import ConfigError
 from npred.plants import Plant
 
 

@@ -13,12 +13,13 @@ from reactor import Reactor
 from scipy.linalg import solve_continuous_lyapunov
 from typer.testing import CliRunner
 
-from npred import config, diagnosis, plants
+from npred import diagnosis, plants
+from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.diagnosis import check, lyapunov, settled
-from npred.errors import ConfigError
+from npred.lab import config
+from npred.lab.scheduler import pipeline_fit
 from npred.plants import Plant
-from npred.stages import pipeline_fit
 
 QUESTIONS = [
     *("trace", "smooth law", "box", "finite", "delay", "equilibrium", "stability", "V", "input bounds", "convergence"),

@@ -8,7 +8,7 @@ from recorded import recording, steps
 from test_model import BOX
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.identification.identify import Settings, prepared, recorded
 from npred.identification.log import Log
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.identification.log import Log, Segments
 
 NAN = np.nan

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import MissingError, NpredError, room_on_disk
+from npred.base.errors import MissingError, NpredError, room_on_disk
 from npred.kernels import cache, compiler
 
 CONSTANT = 0.123456789

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from npred.errors import MissingError, NpredError
+from npred.base.errors import MissingError, NpredError
+from npred.exports import c_files
 from npred.kernels import cache, compiler
-from npred.runtimes import c_files
 
 TEXT = "double twice(double a) {{ return {} * a; }}"
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from npred.formulas.tape import OPS, M, Tape
 from npred.kernels import compiler
 from npred.kernels.c_text import single
 from npred.kernels.formula import function, vector
 from npred.kernels.kernel import made, skeleton
-from npred.symbolic.tape import OPS, M, Tape
 
 REALS = st.floats(0.1, 5) | st.floats(-5, -0.1) | st.just(0.0)
 CONDITIONS = ("lt", "le")

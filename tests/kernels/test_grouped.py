@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import npred
+from npred.formulas import called_functions
 from npred.kernels import compiler, formula
-from npred.symbolic import called_functions
 
 SHIPPED = ["van_der_pol", "cart_pole", "unicycle", "pvtol", "chemostat", "planar_arm7", "xarm6"]
 
@@ -41,8 +41,8 @@ def test_the_loops_over_lanes_of_shipped_plants_are_vectorised(name, tmp_path: P
     if "gcc" not in subprocess.run([*compiler.command(), "--version"], capture_output=True, text=True).stdout.lower():
         pytest.skip("asks gcc")
     plant = npred.plant(name)
-    family = npred.delays.problem_of(plant)
-    for kernel in (family.sweep(npred.predictors.RK4.step), family.advance(npred.predictors.RK4.step)):
+    family = npred.prediction.delays.problem_of(plant)
+    for kernel in (family.sweep(npred.prediction.methods.RK4.step), family.advance(npred.prediction.methods.RK4.step)):
         (tmp_path / "kernel.c").write_text(kernel.unit)
         flags = [*compiler.FLAGS, "-fopt-info-vec-optimized", "kernel.c", "-o", "kernel.so", "-lm"]
         told = subprocess.run([*compiler.command(), *flags], cwd=tmp_path, check=True, capture_output=True, text=True)

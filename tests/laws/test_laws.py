@@ -19,15 +19,15 @@ from typer.testing import CliRunner
 import npred
 import npred.diagnosis
 from npred import laws, plants
+from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.diagnosis import Case, region
-from npred.errors import ConfigError
+from npred.lab.scheduler.configuration import identity
+from npred.lab.stages.tuning.cost import LqrWeights
 from npred.laws.design import MOMENTS, SPAN, Design
 from npred.laws.regulator import riccati
 from npred.plants import Plant
-from npred.predictors import RK4
-from npred.stages.configuration import identity
-from npred.tuning.cost import LqrWeights
+from npred.prediction.methods import RK4
 
 LAWLESS = """
 class Pendulum:
@@ -380,7 +380,7 @@ def test_a_plant_without_a_law_is_offered_some(pendulum):
 
 
 def test_a_pipeline_names_a_law(pendulum, tmp_path):
-    from npred import config
+    from npred.lab import config
 
     text = f'plant = "{pendulum}"\nkappa = "lqr"\n[evaluate]\nX0 = [0.1, 0.0]\n'
     (tmp_path / "p.toml").write_text(text)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from npred import grid
+from npred.base import grid
 from npred.loop import actuator
 from npred.plants.inputs import Past
 

@@ -9,16 +9,18 @@ from input_histories import means
 from scipy.integrate import solve_ivp
 
 import npred
-from npred import grid, plants, predictors
-from npred.delays.family import transition
-from npred.errors import ConfigError
-from npred.loop.adaptation import DelayAdaptation
+from npred import plants
+from npred.base import grid
+from npred.base.errors import ConfigError
+from npred.estimation.adaptation import DelayAdaptation
+from npred.estimation.delay_law import DelayLaw
+from npred.formulas import called_functions
 from npred.loop.closed_loop import simulate
-from npred.loop.delay_law import DelayLaw
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
-from npred.predictors import RK4
-from npred.symbolic import called_functions
+from npred.prediction import methods as predictors
+from npred.prediction.delays.family import transition
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar", {"a": 0.8, "c": 1.0})

@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.loop.timing import schedule, uniform
 from npred.plants import Plant
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 DT = 0.01
 

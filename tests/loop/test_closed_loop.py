@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from npred import plants
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.estimation.adaptation import DelayAdaptation
 from npred.loop import lyapunov, metrics
-from npred.loop.adaptation import DelayAdaptation
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.plants import Plant
-from npred.predictors import RK4, Euler, Heun, Predictor
+from npred.prediction.methods import RK4, Euler, Heun, Predictor
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar")

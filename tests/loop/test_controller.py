@@ -10,11 +10,11 @@ from input_histories import at_nodes
 from operator_samples import PLANT, SMALL, operator
 
 import npred
-from npred.errors import ConfigError, DivergedError
+from npred.base.errors import ConfigError, DivergedError
+from npred.base.registry import RUNTIMES
+from npred.networks import predictor
 from npred.plants import BlackBox, Plant
-from npred.predictors import RK4
-from npred.registry import RUNTIMES
-from npred.runtimes import predictor
+from npred.prediction.methods import RK4
 
 LAW = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
 X0 = [0.03, 30.0]

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import npred
-from npred.errors import ConfigError, DivergedError
+from npred.base.errors import ConfigError, DivergedError
 from npred.loop.clock import STAMPS
 from npred.plants import Plant, make
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 DT = 0.01
 SEEKING = npred.DelayObserver(bounds=(0.05, 0.4))

@@ -9,15 +9,16 @@ from input_histories import at_nodes
 from jobs import job, tables
 
 import npred
-from npred import config, plants
-from npred.conditions import condition
-from npred.data.dataset import Dataset
-from npred.errors import ConfigError
-from npred.loop import delay_law
-from npred.loop.adaptation import DelayAdaptation
-from npred.pipeline import Node
-from npred.predictors import RK4
-from npred.stages.generate import generate
+from npred import plants
+from npred.base.errors import ConfigError
+from npred.estimation import delay_law
+from npred.estimation.adaptation import DelayAdaptation
+from npred.lab import config
+from npred.lab.config.conditions import condition
+from npred.lab.scheduler.plan import Node
+from npred.lab.stages.generate import generate
+from npred.lab.training.data.dataset import Dataset
+from npred.prediction.methods import RK4
 
 PLANT = npred.plant("scalar")
 LOOP = {"D": 1.0, "D_hat": [1.6, 0.7], "X0": [[1.0], [0.5]], "t_end": 3.0, "dt": 0.01}
@@ -236,7 +237,7 @@ COMPILED = (
 )
 COMPILED = COMPILED.replace(
     "import npred",
-    "import npred\nfrom npred.delays import family\n\nBODY = "
+    "import npred\nfrom npred.prediction.delays import family\n\nBODY = "
     + repr("    for (int l = 0; l < d.lanes; l++) {\n        phi[l] = 1.0 - D_hat[l];\n    }\n"),
 )
 

@@ -7,9 +7,9 @@ import pytest
 from follower import Follower, follower
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.estimation.delay_observer import NUMBERS, bank
 from npred.loop import engine
-from npred.loop.delay_observer import NUMBERS, bank
 from npred.loop.measurement import Measurement
 from npred.plants import Plant
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError, DivergedError
+from npred.base.errors import ConfigError, DivergedError
 from npred.loop.iosystem import Block
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 control = pytest.importorskip("control")
 PLANT, DT, LATE, STEPS = npred.plant("scalar"), 0.01, 50, 300

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from npred import plants
-from npred.errors import ConfigError
-from npred.loop.adaptation import DelayAdaptation
+from npred.base.errors import ConfigError
+from npred.estimation.adaptation import DelayAdaptation
+from npred.estimation.delay_observer import DelayObserver
 from npred.loop.closed_loop import simulate
-from npred.loop.delay_observer import DelayObserver
 from npred.loop.measurement import Measurement
-from npred.predictors import RK4, Euler, Predictor
+from npred.prediction.methods import RK4, Euler, Predictor
 
 SCALAR, CLOCK = plants.resolve("scalar"), plants.resolve("activator_repressor")
 LOOP = {"D": 0.1, "D_hat": 0.1, "X0": [1.0], "t_end": 0.2, "dt": 0.01}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.loop.measurement import Measurement
 from npred.plants import Plant
 

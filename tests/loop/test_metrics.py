@@ -12,7 +12,7 @@ from npred import plants
 from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
 from npred.plants import Plant
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("activator_repressor")
 EMPTY = Samples(*[np.empty(0)] * 3)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import npred
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
 from npred.loop.measurement import Measurement
 
 PLANTS = {1: npred.plant("scalar"), 2: npred.plant("van_der_pol"), 3: npred.plant("unicycle")}

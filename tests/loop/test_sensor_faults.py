@@ -9,7 +9,7 @@ import pytest
 from faulty_sensors import DT, FAULTS, OBSERVERS, PLANTS, Loop, constant, controller, of_one, settling
 
 import npred
-from npred.errors import DivergedError
+from npred.base.errors import DivergedError
 from npred.plants import Plant
 
 ABSURD = ("inf", "-inf", "1e+12", "1e+200", "1e+308")

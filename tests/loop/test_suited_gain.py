@@ -5,12 +5,12 @@ import pytest
 
 import npred
 from npred import plants
-from npred.config import parse
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.estimation.adaptation import suited_gamma
+from npred.lab.config import parse
+from npred.lab.scheduler import pipeline_fit
 from npred.loop import metrics
-from npred.loop.adaptation import suited_gamma
 from npred.plants import Plant
-from npred.stages import pipeline_fit
 
 SCALAR = npred.plant("scalar")
 

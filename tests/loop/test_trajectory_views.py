@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError, MissingError
+from npred.base.errors import ConfigError, MissingError
+from npred.lab.config.results import Generated
 from npred.loop import trajectory_views
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
-from npred.results import Generated
 
 
 class Escape:

@@ -7,17 +7,18 @@ import pytest
 from jobs import job
 
 import npred
-from npred import plants, predictors
+from npred import plants
+from npred.base.errors import ConfigError
 from npred.diagnosis import check
-from npred.errors import ConfigError
-from npred.loop.adaptation import DelayAdaptation
+from npred.estimation.adaptation import DelayAdaptation
+from npred.exports import c_network, onnx
+from npred.lab.scheduler.configuration import identity
+from npred.lab.stages.evaluate import evaluate
+from npred.lab.stages.generate import generate
+from npred.lab.stages.train import train
 from npred.loop.closed_loop import simulate
 from npred.plants.black_box import BlackBox
-from npred.runtimes import c_network, onnx
-from npred.stages.configuration import identity
-from npred.stages.evaluate import evaluate
-from npred.stages.generate import generate
-from npred.stages.train import train
+from npred.prediction import methods as predictors
 
 TRACED = plants.resolve("cart_pole")
 LAW = DelayAdaptation(gamma=1.0, b=1.0, bounds=(0.1, 0.3))

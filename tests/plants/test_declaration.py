@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from npred import config
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.formulas import array_math
+from npred.lab import config
+from npred.lab.scheduler.configuration import Slices, identity
 from npred.plants.base import Plant
 from npred.plants.declaration import Declaration
-from npred.stages.configuration import Slices, identity
-from npred.symbolic import array_math
 
 
 class Tank:

@@ -9,15 +9,16 @@ from jobs import job
 from reactor import Reactor
 from scipy.integrate import solve_ivp
 
-from npred import config, plants
-from npred.data.dataset import Dataset
-from npred.errors import ConfigError, DivergedError
+from npred import plants
+from npred.base.errors import ConfigError, DivergedError
+from npred.lab import config
+from npred.lab.scheduler import pipeline_fit
+from npred.lab.scheduler.stage_registry import nodes
+from npred.lab.stages.generate import generate
+from npred.lab.training.data.dataset import Dataset
 from npred.loop.closed_loop import simulate
-from npred.pipeline import nodes
 from npred.plants import Plant, inputs
-from npred.predictors import RK4
-from npred.stages import pipeline_fit
-from npred.stages.generate import generate
+from npred.prediction.methods import RK4
 
 REACTOR, SCALAR = Plant("reactor", Reactor), plants.resolve("scalar")
 NAME = f"{Path(__file__).parents[1] / 'reactor.py'}:Reactor"

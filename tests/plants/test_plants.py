@@ -13,9 +13,9 @@ from tank import TANK
 
 import npred
 from npred import plants
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.lab.scheduler.configuration import identity
 from npred.plants import BlackBox, Plant
-from npred.stages.configuration import identity
 
 X_STAR = (0.093894784596175314799, 5.2514404348957272692)  # independent solver, 18 digits
 U_STAR = -2.62808664394595e-5

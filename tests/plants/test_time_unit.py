@@ -9,9 +9,9 @@ from c_controllers import needs_gcc
 
 import npred
 from npred import diagnosis
-from npred.errors import ConfigError
+from npred.base.errors import ConfigError
+from npred.exports import c_controller
 from npred.plants import Plant
-from npred.runtimes import c_controller
 
 SECONDS = re.compile(r"[\d\])}] ?s\b|\bseconds?\b|\bin s\b")
 

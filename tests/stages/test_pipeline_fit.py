@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from follower import Follower
 
-from npred import array_checks, config, plants
+from npred import plants
+from npred.base import array_checks
+from npred.base.errors import ConfigError
 from npred.diagnosis import equilibrium
-from npred.errors import ConfigError
+from npred.lab import config
+from npred.lab.scheduler import pipeline_fit
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
-from npred.stages import pipeline_fit
 
 MOVING = """
 class Moving:

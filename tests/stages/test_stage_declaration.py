@@ -11,10 +11,10 @@ FILES = {
     "__init__.py": '''
 """How many rows there are."""
 
-from npred.stages.declaration import Stage
+from npred.lab.scheduler.declaration import Stage
 
 STAGE = Stage(
-    __name__, 1, ("generate",), "npred.stages.probe.probe:Probed", table_class="npred.stages.probe.probe:Probe"
+    __name__, 1, ("generate",), "npred.lab.stages.probe.probe:Probed", table_class="npred.lab.stages.probe.probe:Probe"
 )
 
 
@@ -22,8 +22,8 @@ def key(slices):
     return {"probe": slices.config.optional("probe").model_dump(mode="json")}
 ''',
     "probe.py": '''
-from npred.config.section import Count, Section
-from npred.results import Generated, Result
+from npred.lab.config.section import Count, Section
+from npred.lab.config.results import Generated, Result
 
 
 class Probe(Section):
@@ -47,10 +47,10 @@ def summary(result, width=None):
 ''',
 }
 PROGRAM = """
-import npred.stages
+import npred.lab.stages
 from npred import registry
 
-npred.stages.__path__.append("{folder}")
+npred.lab.stages.__path__.append("{folder}")
 registry.STAGES = (*registry.STAGES, "probe")
 from npred.cli import main
 

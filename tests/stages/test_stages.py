@@ -14,20 +14,22 @@ import torch
 from conftest import HERE
 from jobs import job, tables, trained
 
-from npred import config, operators, plants
-from npred.data import shards
-from npred.data.dataset import Dataset
-from npred.errors import MissingError
+from npred import plants
+from npred.base.errors import MissingError
+from npred.lab import config
+from npred.lab.config.results import Benched, Evaluated, PredictorId
+from npred.lab.config.results.bench import Stops
+from npred.lab.stages.bench import bench, timing_tables
+from npred.lab.stages.evaluate import accuracy, behaviour, coverage, evaluate
+from npred.lab.stages.generate import generate
+from npred.lab.stages.train import train
+from npred.lab.training import operators
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import Dataset
+from npred.lab.training.neural import Neural
 from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
-from npred.predictors import RK4
-from npred.predictors.neural import Neural
-from npred.results import Benched, Evaluated, PredictorId
-from npred.results.bench import Stops
-from npred.stages.bench import bench, timing_tables
-from npred.stages.evaluate import accuracy, behaviour, coverage, evaluate
-from npred.stages.generate import generate
-from npred.stages.train import train
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("activator_repressor")
 FNO = PredictorId("fno")
@@ -368,7 +370,7 @@ def test_bench_with_onnx(made, tmp_path):
 
 
 def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkeypatch):
-    from npred.stages.bench import candidates
+    from npred.lab.stages.bench import candidates
 
     monkeypatch.setattr(candidates, "installed", lambda name: name != "onnx")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["torch", "onnx"]})
@@ -376,7 +378,7 @@ def test_bench_without_the_onnx_extra_leaves_its_rows_out(made, tmp_path, monkey
 
 
 def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, monkeypatch):
-    from npred.stages.bench import candidates
+    from npred.lab.stages.bench import candidates
 
     monkeypatch.setattr(candidates, "installed", lambda name: name != "onnx")
     task = job(tmp_path, "bench", inputs=made, bench={"runtimes": ["onnx"]})

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import document, process_environment
 
-from npred.store import claims
+from npred.lab.store import claims
 
 
 def lock_files(root):
@@ -29,7 +29,7 @@ def test_a_claim_holds_until_its_block_ends(tmp_path):
 
 def test_a_process_that_was_killed_claims_nothing(tmp_path):
     program = (
-        "import sys, time\nfrom pathlib import Path\nfrom npred.store import claims\n"
+        "import sys, time\nfrom pathlib import Path\nfrom npred.lab.store import claims\n"
         "with claims.claimed(Path(sys.argv[1])) as claim:\n"
         "    claim('c' * 64)\n    print('claimed', flush=True)\n    sys.stdin.read()\n"
     )
@@ -90,7 +90,7 @@ def test_a_name_that_no_claim_has_is_left_alone(tmp_path):
 def test_no_claim_is_invisible_to_processes_that_look_while_it_is_made(tmp_path):
     """Four processes, each making claims and looking at all of them; each has to see its own."""
     program = (
-        "import sys\nfrom pathlib import Path\nfrom npred.store import claims\n"
+        "import sys\nfrom pathlib import Path\nfrom npred.lab.store import claims\n"
         "root, lost = Path(sys.argv[1]), 0\n"
         "for number in range(400):\n"
         "    key = sys.argv[2] * 32 + f'{number:032x}'\n"

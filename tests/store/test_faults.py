@@ -12,7 +12,7 @@ import fake_stages
 import pytest
 from conftest import HERE, Call, document, process_environment
 
-from npred.store import Store
+from npred.lab.store import Store
 
 Disk = Callable[[str], Path]
 
@@ -63,7 +63,7 @@ def _bulky(job: Any) -> bool:
 
 
 def test_libraries_that_hide_a_full_disk_are_understood():
-    from npred.errors import disk_is_full
+    from npred.base.errors import disk_is_full
 
     assert disk_is_full(OSError(28, "No space left on device"))
     assert disk_is_full(RuntimeError("write failed: errno = 28, error message = 'No space left on device'"))

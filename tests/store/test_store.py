@@ -17,15 +17,15 @@ import pytest
 from conftest import process_environment
 from store_samples import made_at, put, question, tree
 
-from npred.errors import ConfigError, StoreError
-from npred.store import MARKER, Artifact, Manifest, ResultInput, Store
-from npred.store.manifest import Question, canonical
+from npred.base.errors import ConfigError, StoreError
+from npred.lab.store import MARKER, Artifact, Manifest, ResultInput, Store
+from npred.lab.store.manifest import Question, canonical
 
 HELD = "0" * 64
 HOLD = """
 import sys
 from pathlib import Path
-from npred.store import Store
+from npred.lab.store import Store
 with Store(Path(sys.argv[1])).lock("train", "0" * 64):
     print("held", flush=True)
     sys.stdin.read()

@@ -19,13 +19,13 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 from torch.utils._pytree import tree_leaves
 
-from npred.config import Training
-from npred.operators import Operator
-from npred.training import captured, soap, training_loop
-from npred.training.captured import CapturedStep, NotCapturable, OnDevice
-from npred.training.checkpoint import Metrics
-from npred.training.loss import criterion, weights
-from npred.training.rows import Fit, Rows
+from npred.lab.config import Training
+from npred.lab.training import captured, soap, training_loop
+from npred.lab.training.captured import CapturedStep, NotCapturable, OnDevice
+from npred.lab.training.checkpoint import Metrics
+from npred.lab.training.loss import criterion, weights
+from npred.lab.training.operators import Operator
+from npred.lab.training.rows import Fit, Rows
 
 CHANGES = {"epochs": 4, "batch": 6, "checkpoint_every": 2, "snapshots": [3], "weight_decay": 1e-3}
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from npred.training.soap import EVERY, SOAP, GraphSOAP, turned_bases
+from npred.lab.training.soap import EVERY, SOAP, GraphSOAP, turned_bases
 
 SHAPES = [(4, 6), (6,), (4, 6), (3, 6, 4), (5, 5), (), (2, 4)]
 STEPS = 3 * EVERY + 4

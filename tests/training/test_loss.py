@@ -5,8 +5,8 @@ import torch
 from operator_samples import PLANT
 
 from npred import plants
-from npred.config import DeepONet
-from npred.training.loss import SHARE, criterion, sensitivity, weights
+from npred.lab.config import DeepONet
+from npred.lab.training.loss import SHARE, criterion, sensitivity, weights
 
 P = torch.tensor([[[0.0, 10.0], [0.2, 10.0]], [[0.0, 14.0], [0.2, 14.0]]])
 

@@ -15,13 +15,13 @@ from conftest import TINY, process_environment
 from operator_samples import EVERY, NETWORKS, PLANT, operator, samples
 from silent import Silent
 
-from npred.config import DeepONet, Training
-from npred.parallel import devices
-from npred.registry import short_name
-from npred.training import captured, training_loop
-from npred.training.checkpoint import Metrics
-from npred.training.loss import criterion, weights
-from npred.training.rows import Fit, Rows
+from npred.base import devices
+from npred.base.registry import short_name
+from npred.lab.config import DeepONet, Training
+from npred.lab.training import captured, training_loop
+from npred.lab.training.checkpoint import Metrics
+from npred.lab.training.loss import criterion, weights
+from npred.lab.training.rows import Fit, Rows
 
 pytestmark = [
     pytest.mark.gpu,

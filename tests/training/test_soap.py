@@ -6,7 +6,7 @@ import sys
 import torch
 from conftest import process_environment
 
-from npred.training.soap import BETA, EPS, EVERY, SOAP
+from npred.lab.training.soap import BETA, EPS, EVERY, SOAP
 
 
 def losses(build, W: torch.Tensor, steps: int) -> list[float]:
@@ -72,7 +72,7 @@ def test_weight_decay_is_decoupled():
 def test_it_does_not_import_the_compiler_of_torch():
     program = """\
 import sys, torch
-from npred.training.soap import SOAP
+from npred.lab.training.soap import SOAP
 W = torch.ones(2, 2, requires_grad=True)
 optimiser = SOAP([W], lr=0.1)
 for _ in range(2):

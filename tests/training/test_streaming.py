@@ -5,9 +5,9 @@ import pytest
 import torch
 from operator_samples import samples
 
-from npred.data import shards
-from npred.data.dataset import Dataset
-from npred.training.rows import Rows, Stream
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import Dataset
+from npred.lab.training.rows import Rows, Stream
 
 ROWS = [30, 30, 30, 30, 13]
 
@@ -56,7 +56,7 @@ def test_the_seed_decides_the_order(data):
 
 
 def test_a_buffer_holds_few_shards_and_mixes_them(data, monkeypatch):
-    monkeypatch.setattr("npred.training.rows.BUFFER", 2)
+    monkeypatch.setattr("npred.lab.training.rows.BUFFER", 2)
     read, most, real = [], [], Dataset.read
     monkeypatch.setattr(Dataset, "read", lambda path: (read.append(path), real(path))[1])
     batches = Stream(data).batches(torch.Generator().manual_seed(0), 8)

@@ -10,12 +10,12 @@ import torch
 from operator_samples import PLANT, SMALL, operator, samples
 from silent import Silent
 
-from npred.config import DeepONet, Training
-from npred.errors import ConfigError, DivergedError, StoreError
-from npred.training import checkpoint, training_loop
-from npred.training.loss import criterion, weights
-from npred.training.rows import Fit, Rows
-from npred.training.training_loop import cycle_ends, errors, rate
+from npred.base.errors import ConfigError, DivergedError, StoreError
+from npred.lab.config import DeepONet, Training
+from npred.lab.training import checkpoint, training_loop
+from npred.lab.training.loss import criterion, weights
+from npred.lab.training.rows import Fit, Rows
+from npred.lab.training.training_loop import cycle_ends, errors, rate
 
 NETWORKS = pytest.mark.parametrize("config", SMALL, ids=["deeponet", "fno"])
 

@@ -1,11 +1,12 @@
-"""The cost of `npred tune` against docs/tune.md read literally: own loops, nothing of npred.tuning but the starts."""
+"""The cost of `npred tune` against docs/tune.md read literally: its loops, and only the starts of npred's tuning."""
 
 import numpy as np
 import pytest
 
-from npred import config, plants
+from npred import plants
+from npred.lab import config
+from npred.lab.stages.tuning.cost import Loops, Yardstick
 from npred.plants import Plant
-from npred.tuning.cost import Loops, Yardstick
 
 DT, EFFORT = 0.005, 0.1
 CASES = {  # plant, D, T, before, after

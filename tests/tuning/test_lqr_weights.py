@@ -9,15 +9,16 @@ import pytest
 from scipy.linalg import solve_continuous_are
 from typer.testing import CliRunner
 
-from npred import config, plants
+from npred import plants
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.config import Pipeline
-from npred.errors import ConfigError
 from npred.kernels import compiler
+from npred.lab import config
+from npred.lab.config import Pipeline
+from npred.lab.config.results import Tuned
+from npred.lab.stages.tuning.cost import Loops, LqrWeights, Yardstick, varied
+from npred.lab.stages.tuning.tune import tune
 from npred.plants import Plant
-from npred.results import Tuned
-from npred.tuning.cost import Loops, LqrWeights, Yardstick, varied
-from npred.tuning.tune import tune
 
 PLANT = """
 class Lever:

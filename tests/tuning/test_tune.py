@@ -9,14 +9,15 @@ import pytest
 from scipy.optimize import minimize_scalar
 from typer.testing import CliRunner, Result
 
-from npred import config, plants
+from npred import plants
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.config import Pipeline
-from npred.errors import ConfigError
-from npred.results import Tuned
-from npred.terminal.console import Console
-from npred.tuning.cost import Loops, Settling, Yardstick, gains
-from npred.tuning.tune import gained, tune
+from npred.lab import config
+from npred.lab.config import Pipeline
+from npred.lab.config.results import Tuned
+from npred.lab.report.terminal.console import Console
+from npred.lab.stages.tuning.cost import Loops, Settling, Yardstick, gains
+from npred.lab.stages.tuning.tune import gained, tune
 
 PLANT = """
 class Line:

@@ -1,6 +1,6 @@
 /* PREDICT by a network: its inputs scaled into z, v and r, the STEPS of its program to N_ (N, NODES), and P = start + gain
  * N_, by cubics between the nodes where these are fewer than NX. The
- * arrays are members of the memory `q`; npred.runtimes.program says what they are. */
+ * arrays are members of the memory `q`; npred.networks.program says what they are. */
 static INLINED void PART(_scaled)(int lanes, const double *X, const double *u, double D_hat, double t,
                                  PART(_memory) *restrict q)
 {

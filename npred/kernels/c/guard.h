@@ -164,7 +164,7 @@ static inline double PART(_judged)(int lanes, int side, double tolerance, const 
     return *error <= tolerance ? 0.0 : certain > tolerance ? 1.0 : DOUBT;
 }
 
-/* Whether one lane is further from the data than the limit. The features are those of npred.data.domain: X bent, D_hat,
+/* Whether one lane is further from the data than the limit. The features are those of npred.networks.domain: X bent, D_hat,
  * the first Legendre moments of each input, the phase. */
 static inline int PART(_outside)(int last, const double *X, const double *u, double D_hat, double t, const double *guard,
                                  const double *mass, const double *turn)

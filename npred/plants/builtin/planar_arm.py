@@ -1,6 +1,6 @@
 """Planar chains of rigid links, hanging, a motor at each joint: plants that track, and whose f is costly."""
 
-from npred.symbolic.ldl import total
+from npred.formulas.ldl import total
 
 
 def arm(links: int) -> type:

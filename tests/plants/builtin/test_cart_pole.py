@@ -6,9 +6,9 @@ import pytest
 from scipy.linalg import solve_continuous_are, solve_continuous_lyapunov
 
 from npred import plants
-from npred.loop.adaptation import DelayAdaptation
+from npred.estimation.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("cart_pole")
 LAW = DelayAdaptation(gamma=1.0, b=1.0, bounds=(0.1, 0.3))

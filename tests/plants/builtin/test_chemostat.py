@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from npred import plants
-from npred.loop.adaptation import DelayAdaptation
+from npred.estimation.adaptation import DelayAdaptation
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("chemostat")
 X_STAR, U_STAR = (3.0, 2.0), 0.9

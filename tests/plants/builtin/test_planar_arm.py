@@ -10,7 +10,7 @@ from npred.loop import metrics
 from npred.loop.closed_loop import simulate
 from npred.plants.base import Plant
 from npred.plants.builtin.planar_arm import arm
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 
 def test_one_link_is_the_rod_pendulum():

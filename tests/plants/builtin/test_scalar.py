@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from npred import plants
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("scalar")
 

@@ -8,9 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import npred
-from npred import config, diagnosis, plants
-from npred.predictors import RK4
-from npred.stages import pipeline_fit
+from npred import diagnosis, plants
+from npred.lab import config
+from npred.lab.scheduler import pipeline_fit
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("transport_tank")
 START = np.array([2.8, 25.0])

@@ -6,10 +6,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from npred import plants
+from npred.base.registry import METHODS
 from npred.loop import metrics
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4
-from npred.registry import METHODS
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("unicycle")
 D, EARLY = 0.6, 0.25

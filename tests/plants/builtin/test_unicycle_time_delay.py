@@ -6,10 +6,12 @@ import pytest
 from varying_delays import InTime
 
 import npred
-from npred import config, defaults, diagnosis, plants
-from npred.predictors import RK4
-from npred.stages import pipeline_fit
-from npred.stages.configuration import identity
+from npred import diagnosis, plants
+from npred.lab import config
+from npred.lab.config import defaults
+from npred.lab.scheduler import pipeline_fit
+from npred.lab.scheduler.configuration import identity
+from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("unicycle_time_delay")
 

@@ -7,10 +7,10 @@ from jobs import job
 from result_samples import CROSSOVER, timing
 
 from npred import plants
-from npred.predictors import RK4, Euler
-from npred.results.bench import Crossover
-from npred.stages.bench import break_even, candidates, timing_tables
-from npred.stages.bench.candidates import Candidate, ErrorSizes
+from npred.lab.config.results.bench import Crossover
+from npred.lab.stages.bench import break_even, candidates, timing_tables
+from npred.lab.stages.bench.candidates import Candidate, ErrorSizes
+from npred.prediction.methods import RK4, Euler
 
 PLANT = plants.resolve("scalar")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import npred
-from npred.errors import ConfigError
-from npred.stages.bench import comparison
+from npred.base.errors import ConfigError
+from npred.lab.stages.bench import comparison
 
 PLANT = npred.plant("scalar")
 LOOP = {"D": 0.5, "D_hat": 0.5, "X0": [1.0], "t_end": 8.0, "dt": 0.01}

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from npred.stages.bench import timing
+from npred.lab.stages.bench import timing
 
 
 def test_each_contender_is_called_in_turn_and_every_call_counted():

@@ -2,8 +2,8 @@
 
 from result_samples import BENCHED, CROSSOVER, timing
 
-from npred.results import NUMERICAL, Benched, PredictorId
-from npred.stages.bench import timing_tables
+from npred.lab.config.results import NUMERICAL, Benched, PredictorId
+from npred.lab.stages.bench import timing_tables
 
 ROWS = [
     timing("published", "python", 0.001, 14321.0),

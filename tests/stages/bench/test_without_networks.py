@@ -8,15 +8,16 @@ import pytest
 from result_samples import CROSSOVER
 from typer.testing import CliRunner
 
-from npred import config, plants
+from npred import plants
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.errors import ConfigError
-from npred.operators.weights import untrained
-from npred.predictors import RK4, method
-from npred.results.bench import Crossover
-from npred.runtimes.fused import Fused
-from npred.stages.bench import without_networks
-from npred.stages.bench.candidates import Reference
+from npred.lab import config
+from npred.lab.config.results.bench import Crossover
+from npred.lab.stages.bench import without_networks
+from npred.lab.stages.bench.candidates import Reference
+from npred.networks.fused import Fused
+from npred.networks.weights import untrained
+from npred.prediction.methods import RK4, method
 
 
 def crossovers(*speedups):

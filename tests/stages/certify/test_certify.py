@@ -11,11 +11,11 @@ from jobs import job, trained
 from known_loops import NEVER, known_loops
 
 import npred
-from npred import registry
-from npred.data.dataset import Dataset
-from npred.stages.certify import certify, rollouts
-from npred.stages.certify.table import Certify
-from npred.stages.generate import generate
+from npred.base import registry
+from npred.lab.stages.certify import certify, rollouts
+from npred.lab.stages.certify.table import Certify
+from npred.lab.stages.generate import generate
+from npred.lab.training.data.dataset import Dataset
 
 PLANT = npred.plant(NAME)
 TABLE = {"probability": 0.2, "confidence": 0.9, "samples": 6, "restarts": 8, "steps": 6, "loops": 5}
@@ -77,7 +77,7 @@ def test_the_rollouts_are_none_that_were_trained_on(certified):
 
 def test_the_summary_says_what_holds(certified):
     _, (result, _), _ = certified
-    from npred.results import Certified
+    from npred.lab.config.results import Certified
 
     text = certify.summary(Certified.of(result, "a test"), 80)
     count, samples = rollouts.count(0.2, 0.9), Certify(**TABLE).samples

@@ -7,13 +7,14 @@ import pytest
 from conftest import settings_of
 from jobs import job, tables
 
-from npred import config, plants
-from npred.data.dataset import Dataset
-from npred.errors import DivergedError
-from npred.pipeline import Node
-from npred.predictors import RK4, Euler
-from npred.stages.evaluate import accuracy
-from npred.stages.generate import generate, rollouts, sampling
+from npred import plants
+from npred.base.errors import DivergedError
+from npred.lab import config
+from npred.lab.scheduler.plan import Node
+from npred.lab.stages.evaluate import accuracy
+from npred.lab.stages.generate import generate, rollouts, sampling
+from npred.lab.training.data.dataset import Dataset
+from npred.prediction.methods import RK4, Euler
 
 PLANT = plants.resolve("activator_repressor")
 RANGES = {"D": 1.0, "D_hat0": [(0.9, 1.1)], "explore_D": (0.3, 0.4), "explore_D_hat0": (3.0, 3.5), "explore": 0.4}

@@ -7,8 +7,8 @@ from jobs import job
 from known_loops import NEVER, known_loops
 
 from npred import plants
-from npred.results import NUMERICAL, PredictorId
-from npred.stages.evaluate import behaviour
+from npred.lab.config.results import NUMERICAL, PredictorId
+from npred.lab.stages.evaluate import behaviour
 
 PLANT = plants.resolve("scalar", {"a": 0.5, "c": 2.0})  # at rest at 0, where a control error of e moves it by e / 2
 FNO = PredictorId("fno")

@@ -8,8 +8,8 @@ import pytest
 from known_loops import known_loops
 
 from npred import plants
-from npred.results import PredictorId
-from npred.stages.evaluate import coverage
+from npred.lab.config.results import PredictorId
+from npred.lab.stages.evaluate import coverage
 
 
 @pytest.mark.parametrize(

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 from jobs import SMALL, job
 
-from npred import figures, plants
-from npred.conditions import starts
-from npred.data.dataset import Dataset
-from npred.predictors import RK4
-from npred.results import NUMERICAL, Benched, Evaluated, PredictorId
-from npred.stages.bench import bench
-from npred.stages.evaluate import behaviour, evaluate, scenarios, summary_tables
-from npred.stages.generate import generate
-from npred.stages.report import report
-from npred.stages.train import train
+from npred import plants
+from npred.lab.config.conditions import starts
+from npred.lab.config.results import NUMERICAL, Benched, Evaluated, PredictorId
+from npred.lab.report import figures
+from npred.lab.stages.bench import bench
+from npred.lab.stages.evaluate import behaviour, evaluate, scenarios, summary_tables
+from npred.lab.stages.generate import generate
+from npred.lab.stages.report import report
+from npred.lab.stages.train import train
+from npred.lab.training.data.dataset import Dataset
+from npred.prediction.methods import RK4
 
 TANK = "transport_tank"
 TABLES = {

@@ -5,10 +5,10 @@ import pytest
 from jobs import job
 
 from npred import plants
-from npred.conditions import starts
+from npred.lab.config.conditions import starts
+from npred.lab.stages.evaluate import in_loop
 from npred.loop.closed_loop import simulate
-from npred.predictors import RK4, Euler, Predictor
-from npred.stages.evaluate import in_loop
+from npred.prediction.methods import RK4, Euler, Predictor
 
 PLANT = plants.resolve("activator_repressor")
 

@@ -9,12 +9,12 @@ from jobs import job
 from known_loops import NEVER, known_loops
 
 import npred
-from npred.conditions import starts
+from npred.lab.config.conditions import starts
+from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, PredictorId
+from npred.lab.stages.evaluate import behaviour, scenarios
 from npred.loop import metrics
 from npred.plants import Plant
-from npred.predictors import RK4
-from npred.results import NO_ADAPTATION, NUMERICAL, PredictorId
-from npred.stages.evaluate import behaviour, scenarios
+from npred.prediction.methods import RK4
 
 PLANT = npred.plant(NAME)
 TABLES = [

@@ -3,9 +3,9 @@
 import pytest
 from result_samples import ERRORS, SCORES, evaluated, evaluation
 
-from npred.results import NUMERICAL, Evaluated, PredictorId
-from npred.stages.evaluate import summary_tables
-from npred.stages.report import tables
+from npred.lab.config.results import NUMERICAL, Evaluated, PredictorId
+from npred.lab.stages.evaluate import summary_tables
+from npred.lab.stages.report import tables
 
 EXACT = SCORES | dict.fromkeys(ERRORS, 0.0)
 MODELS = {"numerical": EXACT, "no_adaptation": EXACT, "deeponet@150": SCORES, "deeponet": SCORES, "fno": SCORES}

@@ -8,14 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jobs import job, tables
 
-from npred import config, json_files, plants
-from npred.data import shards
-from npred.data.dataset import MEANING, Dataset
-from npred.errors import ConfigError, DivergedError
+from npred import plants
+from npred.base import json_files
+from npred.base.errors import ConfigError, DivergedError
+from npred.lab import config
+from npred.lab.scheduler.executors import Processes
+from npred.lab.stages.generate import generate, rollouts, sampling, sharded
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import MEANING, Dataset
 from npred.loop.closed_loop import LANES
-from npred.parallel.executors import Processes
-from npred.predictors import RK4
-from npred.stages.generate import generate, rollouts, sampling, sharded
+from npred.prediction.methods import RK4
 
 
 def rows(tmp_path, name="data", **changes):

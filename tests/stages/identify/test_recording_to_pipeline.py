@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import npred
-from npred import config
+from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.errors import ConfigError
+from npred.lab import config
 
 LOG = Path(__file__).parents[3] / "docs" / "recordings" / "tank_log.csv"
 PLANT = """

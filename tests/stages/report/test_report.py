@@ -15,16 +15,18 @@ from conftest import Call, document, one_line
 from jobs import job
 from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
 
-from npred import config, json_files, plants
+from npred import plants
+from npred.base import json_files
+from npred.base.errors import StoreError
 from npred.cli.report import OWNER, PLACE
-from npred.errors import StoreError
-from npred.figures import EvaluationData
-from npred.figures.notation import markup
-from npred.figures.style import MEDIA
+from npred.lab import config
+from npred.lab.config.results import Benched, PredictorId
+from npred.lab.report.figures import EvaluationData
+from npred.lab.report.figures.notation import markup
+from npred.lab.report.figures.style import MEDIA
+from npred.lab.stages.report import report
+from npred.lab.stages.report.report_data import PipelineResults, sentences
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
-from npred.results import Benched, PredictorId
-from npred.stages.report import report
-from npred.stages.report.report_data import PipelineResults, sentences
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
@@ -331,7 +333,7 @@ def test_figures_of_two_pipelines_of_one_name_have_folders_of_their_own(call: Ca
 
 
 def test_figures_and_tables_for_a_paper(call: Call, here: Path, tmp_path: Path, results: PipelineResults, monkeypatch):
-    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/figures/test_figures.py
+    monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/report/test_figures.py
     found = document(call("report", "tiny.toml", "--figures", "ieee1", "-o", str(tmp_path / "figures"), "--json"))
     wanted = {f"{name}.{form}" for name in results.figures() for form in ("svg",)}
     wanted |= {f"{name}.{form}" for name in results.tables() for form in ("csv", "tex")}

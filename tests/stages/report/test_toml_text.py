@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from npred import config
-from npred.stages.report import toml_text
+from npred.lab import config
+from npred.lab.stages.report import toml_text
 
 LEAVES = st.one_of(
     st.booleans(),

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import FakeGpu
-from npred.stages.train.summary import summary
+from npred.lab.stages.train.summary import summary
 from operator_samples import PLANT, samples
 from silent import Silent
 
-from npred import config
-from npred.data import shards
-from npred.data.dataset import MEANING, Dataset
-from npred.operators import describe, load
-from npred.results import Trained
-from npred.stages.job import Job
-from npred.stages.train.train import run
-from npred.training import captured
+from npred.lab import config
+from npred.lab.config.results import Trained
+from npred.lab.scheduler.job import Job
+from npred.lab.stages.train.train import run
+from npred.lab.training import captured
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import MEANING, Dataset
+from npred.lab.training.operators import describe, load
 
 SIZES = {
     "deeponet": {"width": 8, "depth": 1, "basis": 4, "trunk": 8, "moments": 4},

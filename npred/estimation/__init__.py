@@ -1,0 +1,1 @@
+"""What is not measured: the delay and the state."""

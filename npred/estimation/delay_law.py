@@ -1,0 +1,176 @@
+"""Delay laws: the base class, a rate D_hat' kept within bounds; laws by name; and their kernels for the time loop."""
+
+import copy
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from npred.base import array_checks, source_lines
+from npred.base.errors import ConfigError
+from npred.plants.base import Plant
+from npred.prediction.delays import family, problem_of
+from npred.prediction.delays.family import Kernel
+from npred.prediction.methods import RK4
+
+
+@dataclass(frozen=True)
+class DelayLaw(ABC):
+    """D_hat' = Proj_[bounds]{D_hat, rate}: a delay law that you write is a subclass with `rate`, in NumPy.
+
+    `rate` uses of gamma, b and bounds, which are a pipeline's, what it needs. Bounds that are left out are None until a
+    loop says how long delays are: see `suited`. simulate, controller and the stages of a pipeline take it; it runs in
+    Python, batch by batch, unless it has a `kernel`. A subclass that changes a method of such a law, `check` aside,
+    runs in Python again.
+
+    Raises ConfigError for a gain, b or bounds that make no sense.
+    """
+
+    gamma: float = 1.0
+    b: float = 1.0
+    bounds: tuple[float, float] = None  # type: ignore[assignment]
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        methods = {name for name, value in vars(cls).items() if callable(value) and not name.startswith("__")}
+        if "kernel" not in methods and methods - {"check"}:
+            cls.kernel = DelayLaw.kernel  # that of a base class no longer is its kernel
+
+    def __post_init__(self) -> None:
+        gains = array_checks.floats("adaptation: gamma, b", (1.0 if self.gamma is None else self.gamma, self.b))
+        if not (gains > 0).all() or not np.isfinite(gains).all():
+            raise ConfigError(f"adaptation: expected gamma > 0 and b > 0, got gamma = {self.gamma}, b = {self.b}")
+        bounds = array_checks.floats("adaptation: bounds", (0.0, 0.0) if self.bounds is None else self.bounds)
+        if bounds.shape != (2,) or not 0 <= bounds[0] <= bounds[1] < np.inf:
+            raise ConfigError(f"adaptation: expected bounds 0 <= low <= high, got {self.bounds}; give (low, high)")
+
+    def check(self, plant: Plant) -> None:  # noqa: B027  a law that serves every plant has nothing to refuse
+        """Raise ConfigError where the delay law is not for this plant; asked before anything runs."""
+
+    def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
+        """The law with what was left out, for delays D (...) and first estimates D_hat (...), in seconds.
+
+        The bounds are those of the paper for D = 1, 0.1 D to 4 D of the longest delay, widened to D and D_hat.
+        """
+        ends = np.concatenate([np.ravel(D), np.ravel(D_hat)])
+        longest = delay(D, D_hat)
+        bounds = (float(min(0.1 * longest, *ends)), float(max(4.0 * longest, *ends)))
+        return self if self.bounds is not None else self._with("bounds", bounds)
+
+    def _with(self, name: str, value: Any) -> Self:
+        law = copy.copy(self)
+        object.__setattr__(law, name, value)
+        return law
+
+    @abstractmethod
+    def rate(
+        self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
+    ) -> Any:  # fmt: skip
+        """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t in seconds.
+
+        u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
+        to the bounds after each step.
+        """
+
+    def kernel(self, plant: Plant) -> Kernel | None:
+        """The law compiled for a plant, family.UPDATE of npred.prediction.delays: D_hat' = gamma phi; None where `rate` has
+        to run.
+
+        It writes phi (B,), and N (B,) where the law has one: W takes it (npred.loop.lyapunov).
+        """
+        return None
+
+    def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int] | None:
+        """A law that finds D_hat from X and its own commands: family.OBSERVE of npred.prediction.delays, compiled for the
+        plant.
+
+        With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
+        before the prediction of the step. None for a law that gives a rate. Where samples of X arrive, it gets them
+        at the step k at which they were taken, NaN in the loops without one.
+        """
+        return None
+
+    def ends(self, dt: float) -> tuple[float, float]:
+        """The estimates, in seconds, from which on outwards D_hat is at its bound."""
+        return self.bounds
+
+
+def resolved(name: str, dt: float, D: np.ndarray) -> None:
+    """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
+    if (longer := D[(D > 0) & (dt > D)]).size:
+        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
+        raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
+
+
+def delay(D: Any, D_hat: Any = 0.0) -> float:
+    """The delay that a law is made for: the longest, else the longest estimate, else 1 s."""
+    return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0
+
+
+class Part(NamedTuple):
+    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds.
+
+    What a law does without is None.
+    """
+
+    control: Kernel | None
+    update: Kernel | None
+    gamma: float
+    b: float
+    bounds: np.ndarray
+    compiled: bool
+    observe: Kernel | None
+    settings: np.ndarray
+    memory: int
+
+
+def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
+    """The laws' part of a control step of dt seconds; None freezes D_hat."""
+    idle, watch = (None, 0.0, 1.0), (None, np.zeros(0), 1)
+    if law is None:
+        return Part(control_law(plant), *idle, np.array((0.0, np.inf)), True, *watch)
+    bounds = np.array(law.bounds, dtype=float)
+    if observer := law.observer(plant, dt):
+        return Part(control_law(plant), *idle, bounds, True, *observer)
+    kernel = law.kernel(plant)
+    if kernel is None:
+        return Part(control_law(plant), _interpreted(law, plant), 1.0, law.b, bounds, False, *watch)
+    return Part(control_law(plant), kernel, law.gamma, law.b, bounds, True, *watch)
+
+
+@cache
+def control_law(plant: Plant) -> Kernel:
+    """U_j = kappa_j(P(r_j)) with r_j = 1 for one delay [DAPF, eq. 9]; between nodes P(r_j) is a step of RK4."""
+    return problem_of(plant).control(RK4.step)
+
+
+def _interpreted(law: DelayLaw, plant: Plant) -> Kernel:
+    """The law on the loop's memory: phi = rate, N unknown."""
+
+    def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
+        phi[:] = _rates(law, plant, family.rows(X, u, P, D_hat), t)
+
+    return step
+
+
+def _rates(law: DelayLaw, plant: Plant, lanes: list[np.ndarray], t: float) -> np.ndarray:
+    """D_hat' (B,) or one for all. Raises ConfigError, with the line of the law's file, where the law fails."""
+    X, u, P, D_hat = lanes
+    try:
+        returned = law.rate(plant, X, u, P, D_hat, t)
+        rates = np.asarray(returned, dtype=float)
+    except ConfigError:
+        raise
+    except Exception as error:
+        reason = f"failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}"
+        raise ConfigError(f"{_location(law)} {reason}; let it return D_hat' (B,)") from None
+    if returned is None or not array_checks.fits(rates.shape, D_hat.shape):
+        came = None if returned is None else rates.shape
+        raise ConfigError(f"{_location(law)} expected to return {D_hat.shape}, one per loop, got {came}; return that")
+    return rates
+
+
+def _location(law: DelayLaw) -> str:
+    return f"adaptation {type(law).__name__}: rate ({source_lines.line(law.rate)})"

@@ -1,0 +1,168 @@
+"""npred's law for an actuator that nobody measures: observers of the state, one per candidate of the delay.
+
+Each candidate θ has an observer that is driven by the controller's own commands, late by θ,
+    x' = f(x, U(t - θ) + d) + L (X - x),   d' = L ω G⁺(X - x),   G = f_U,
+where d absorbs a disturbance at the input. The candidate whose predictions have the smallest errors is the delay. Of
+each state the squares of these errors are summed with the forgetting times `memory` and `window`, and divided by the
+smallest such sum of all candidates, so that no unit and no noise level has to be given. The estimate moves only while
+the candidates differ: where the commands tell them nothing, it stays. Two rules say what an old error is worth, by what
+the errors in the window tell, w, and those in the memory, W, each the largest cost of a candidate:
+    J' = r (e² - J / memory),   r = min(1, 2 w / W),
+so that little movements, of a disturbance at rest say, replace the errors of a transient only slowly; and where w is of
+the size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay
+has changed: the memory starts again from the window. All that is in npred/kernels/c/candidates.h.
+
+Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
+samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
+commands, and the gains are those of the time since the last one. A sample that arrives late is that of the step
+at which it was taken, and the observers run that much behind.
+
+Nothing is proven about this law; the nearest theory is that of multiple-model estimation with hysteresis switching
+[Morse, Mayne, Goodwin, IEEE TAC 37 (1992) 1343]. docs/delay_laws.md says what was measured.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from npred.base import array_checks
+from npred.base.errors import ConfigError
+from npred.estimation.delay_law import DelayLaw
+from npred.formulas import programs
+from npred.formulas.tape import M
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.plants.base import Plant
+from npred.plants.black_box import difference
+from npred.prediction.delays import family, problem_of
+from npred.prediction.methods.runge_kutta import Heun
+
+NUMBERS = 8  # of the settings, as npred/kernels/c/candidates.h has them; behind them shifts and thetas
+
+
+@dataclass(frozen=True)
+class DelayObserver(DelayLaw):
+    """D_hat from X and the controller's own commands, by a bank of observers, one per candidate of the delay.
+
+    Raises ConfigError for settings that make no sense.
+    """
+
+    candidates: int = 80
+    L: float = 3.0
+    omega: float = 8.0
+    memory: float = 5.0
+    window: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rates = array_checks.floats("adaptation: L, memory, window", (self.L, self.memory, self.window))
+        if not (rates > 0).all() or not 0 <= array_checks.number("adaptation: omega", self.omega) < math.inf:
+            raise ConfigError(f"adaptation: expected L, memory, window > 0 and omega >= 0, got {self}; give others")
+        if not isinstance(self.candidates, int | np.integer) or self.candidates < 3:
+            raise ConfigError(f"adaptation: expected at least 3 candidates, got {self.candidates!r}; raise it")
+
+    def check(self, plant: Plant) -> None:
+        problem_of(plant).needs("observer")
+
+    def rate(
+        self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
+    ) -> np.ndarray:  # fmt: skip
+        """It has none: the estimate comes from the commands, which `rate` does not see. Raises ConfigError."""
+        raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
+
+    def thetas(self, dt: float) -> np.ndarray:
+        """The candidates (K,), in seconds: whole control steps apart, from bound to bound."""
+        low, high = (round(bound / dt) for bound in self.bounds)
+        stride = max(1, math.ceil((high - low) / (self.candidates - 1)))
+        return np.arange(low, max(high, low + 2 * stride) + 1, stride) * dt
+
+    def ends(self, dt: float) -> tuple[float, float]:
+        """Half a candidate inside the bounds: it goes no nearer from inside."""
+        thetas = self.thetas(dt)
+        half = (thetas[1] - thetas[0]) / 2
+        return self.bounds[0] + half, self.bounds[1] - half
+
+    def observer(self, plant: Plant, dt: float) -> tuple[Callable[..., None], np.ndarray, int]:
+        thetas = self.thetas(dt)
+        count, n, m = len(thetas), plant.n, plant.m
+        leak, fade = 1 - math.exp(-dt / self.memory), math.exp(-dt / self.window)
+        shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
+        follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
+        settings = [count, *follow, leak, fade, 2 * self.window / dt, *self.bounds]
+        kernel = (_traced if plant.traced else _called)(plant, count)
+        size = count * (3 * n + m) + 3 * n + 3  # of the struct Bank
+        return kernel, np.array([*settings, *shifts, *thetas], dtype=float), size
+
+
+def _traced(plant: Plant, count: int) -> Kernel:
+    """OBSERVE of a plant, compiled, for at most `count` candidates: they step by Heun's method with the input held."""
+    n, m, of = plant.n, plant.m, Formulas(plant, ())
+    trace = of.trace
+    x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
+    X, weights = trace.vector("X", n), [1.0 / unit for unit in trace.vector("w", n)]
+    y = Heun.step(trace.f, x, u, u, u, t, h)
+    e = [M.where(trace.input("inject") > 0, X[c] - y[c], 0.0) for c in range(n)]  # no sample, no error
+    along = trace.f(x, u, t)
+    G = [programs.derivative(along, list(u), list(unit)) for unit in np.eye(m)]
+    power = sum(g * w * g for column in G for g, w in zip(column, weights, strict=True)) + 1e-300
+    moves = [sum(g * w * r for g, w, r in zip(column, weights, e, strict=True)) / power for column in G]
+    arguments = [vector("x", n), vector("v", m, "wide"), vector("X", n), vector("w", n), "inject", "t", "h"]
+    functions = {"STEP": of.function([*y, *e, *moves], arguments, {"out": 2 * n + m}, "wide")}
+    return made(
+        "observe", family.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
+        before=[skeleton("candidates.h")], work=lambda nx, lanes, _: 4 * lanes + count,
+    )  # fmt: skip
+
+
+def _called(plant: Plant, count: int) -> Callable[..., None]:
+    """OBSERVE of a plant that is not traced: the same formulas on arrays, G by differences."""
+    n, m, units = plant.n, plant.m, np.eye(plant.m)
+    before, after = bank(n, m, count)
+
+    @np.errstate(all="ignore")
+    def observe(
+        k: int, dt: float, X: np.ndarray, held: np.ndarray, t: float, p: np.ndarray, law: np.ndarray,
+        memory: np.ndarray, D_hat: np.ndarray,
+    ) -> None:  # fmt: skip
+        first = np.isnan(memory[-1, 0])
+        before(dt, X, law, memory, gain := np.empty((4, X.shape[1])))
+        if first:
+            return
+        x, d, long, short, floor, pace = _parts(memory, count, n, m)
+        shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
+        states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
+        y = Heun.step(plant.f, states, inputs, inputs, inputs, t - dt, dt)
+        e, w = np.where(np.isnan(X.T), 0.0, X.T - y), 1.0 / floor.T
+        G = [difference(lambda v: plant.f(states, v, t - dt), inputs, np.broadcast_to(v, inputs.shape)) for v in units]
+        power = sum((w * g * g).sum(axis=-1) for g in G) + 1e-300
+        for c, g in enumerate(G):
+            d[:, c] += gain[1] * (w * g * e).sum(axis=-1) / power
+        squares = np.moveaxis(e * e, -1, 1)
+        long += pace * (squares - gain[2] * long)
+        short[:] = gain[3] * short + squares
+        x[:] = np.moveaxis(y + gain[0][:, None] * e, -1, 1)
+        after(X, law, memory, gain, D_hat)
+
+    return observe
+
+
+def bank(n: int, m: int, count: int) -> tuple[Kernel, Kernel]:
+    """What is the same for all plants: the gains of the samples, before the observers step, and the choice after it."""
+    sizes, before = {"N": n, "M": m}, [skeleton("candidates.h")]
+    kinds = {"gains": ("dt, X, law, &memory, &gain", 1), "choose": ("X, law, &memory, gain, &D_hat", 0)}
+    gains, choose = (
+        made(name, arguments, skeleton("bank.h"), {}, sizes | {"BEFORE": first}, {}, before, work=lambda *_: count)
+        for name, (arguments, first) in kinds.items()
+    )
+    return gains, choose
+
+
+def _parts(memory: np.ndarray, count: int, n: int, m: int) -> list[np.ndarray]:
+    """Views of a memory, as the struct Bank has it: x, push, lasting, recent (K, ., B), floor (n, B), pace (B,)."""
+    lanes, sizes = memory.shape[1], [count * n, count * m, count * n, count * n, n]
+    ends = np.cumsum([0, *sizes]).tolist()
+    sums = [memory[a:b].reshape(count, -1, lanes) for a, b in zip(ends[:4], ends[1:5], strict=True)]
+    return [*sums, memory[ends[4] : ends[5]], memory[-2]]

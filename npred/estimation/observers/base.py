@@ -1,0 +1,231 @@
+"""What an observer of the state is: two kernels of one lane on a memory, and what is assumed of a plant by default."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from npred.base import array_checks
+from npred.base.errors import ConfigError, unlisted
+from npred.formulas import Value, programs, tape
+from npred.formulas.trace import Trace, python
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.plants.base import Plant, require
+from npred.prediction.delays import family
+
+POINTS = 64  # of the box, at which the sizes of f, kappa and the outputs are looked at
+TINY = 1e-9  # relative: what is no more than a rounding error
+
+
+class Sizes(NamedTuple):
+    """What is usual of a plant: states x and their half ranges dx (n,), sizes of f (n,), half ranges of the inputs du
+    (m,) and of the outputs dy (l,), and the rate (1/s) of the loop of kappa without delay.
+    """
+
+    x: np.ndarray
+    dx: np.ndarray
+    f: np.ndarray
+    du: np.ndarray
+    dy: np.ndarray
+    rate: float
+
+
+class Observer(ABC):
+    """An observer of the state X of a plant, from the commands and from samples Y of its outputs.
+
+    The outputs are those that the plant declares by output(x, t, p, M), else all states, else the states that `outputs`
+    names. With `offset` the observer also finds what is added to each input before the plant, X' = f(X, U + d).
+    Its memory begins with X (n), then d (m), zeros without `offset`.
+
+    X0 (n,) is the state to begin with. By default it is the middle of the plant's box, and for a state without a range
+    there the equilibrium, or the reference at t = 0, or the guess.
+    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near the equilibrium, or,
+    of a plant that does not rest, anywhere in the box, and for settings that do not fit.
+    """
+
+    settings: np.ndarray  # what its kernels read as `law`
+    pulls = False  # whether it corrects the state between samples too
+
+    def __init__(
+        self, plant: Plant, *, offset: Any = False, X0: Any = None, outputs: Sequence[str] | None = None
+    ) -> None:
+        self.plant = plant
+        require(plant)
+        if not plant.traced:
+            came = f"{plant.name}, which says traced = False"
+            raise ConfigError(f"{self.label}: expected a plant that is traced, got {came}; write f with M's functions")
+        if isinstance(outputs, str):
+            cure = f'write ("{outputs}",)'
+            raise ConfigError(f"{self.label}: outputs expected a tuple of states, got {outputs!r}; {cure}")
+        self.outputs = plant.outputs if outputs is None else tuple(outputs)
+        for name in () if outputs is None else self.outputs:
+            if name not in plant.states:
+                raise ConfigError(unlisted(f"{self.label}: outputs", name, plant.states, "states,"))
+        self.offset = offset is not False
+        self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
+        self._check_observable()
+
+    @property
+    def label(self) -> str:
+        """What messages call it."""
+        return type(self).__name__
+
+    @property
+    def size(self) -> int:
+        """The number of states and offsets that are observed."""
+        return self.plant.n + self.plant.m * self.offset
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What it is made of; what was compiled is made again on use."""
+        compiled = {name for name in dir(type(self)) if isinstance(getattr(type(self), name), cached_property)}
+        return {name: value for name, value in vars(self).items() if name not in compiled}
+
+    @abstractmethod
+    def start(self) -> np.ndarray:
+        """The memory to begin with, of one axis."""
+
+    def anew(self) -> tuple[np.ndarray, np.ndarray]:
+        """The memory to go on with where it was lost, and 1 where that is the variance of what it begins with."""
+        return self.start(), np.zeros(len(self.start()))
+
+    @property
+    @abstractmethod
+    def follow(self) -> Kernel:
+        """npred.prediction.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
+
+    @property
+    @abstractmethod
+    def correct(self) -> Kernel:
+        """family.CORRECT_BY of npred.prediction.delays: the memory corrected by a sample, and the sample's difference."""
+
+    def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
+        """Finite numbers (size,), or one for all. Raises ConfigError for others."""
+        array = array_checks.floats(f"{self.label}: {name}", value)
+        if array.shape not in ((), (size,)):
+            came = array.shape
+            raise ConfigError(f"{self.label}: {name} expected one number or shape ({size},), got {came}; give {size}")
+        array_checks.finite(f"{self.label}: {name}", array)
+        return np.broadcast_to(array, size).astype(float)
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """What is usual of the plant, by points of its box: all at the input that kappa gives at t = 0."""
+        plant, (x, u), (X, ends) = self.plant, self.operating_point, self._box
+        with np.errstate(all="ignore"):
+            U = plant.kappa(X)
+            f, Y = plant.f(X, U), self.measured(X)
+        half = [0.5 * np.ptp(a, axis=0) for a in (_finite(U), _finite(Y))]
+        parts = [(ends[1] - ends[0]) / 2, np.sqrt((_finite(f) ** 2).mean(axis=0)), *half]
+        f_X, f_U = plant.jacobians(x, u)
+        rates = np.abs(np.linalg.eigvals(f_X + f_U @ plant.kappa_jacobian(x)))
+        rates = rates[rates > TINY * rates.max(initial=0.0)]
+        rate = float(np.exp(np.log(rates).mean())) if rates.size else 1.0
+        dx, rms, du, dy = (np.where(a > 0, a, 1.0) for a in parts)
+        return Sizes(ends.mean(axis=0), dx, rms, du, dy, rate)
+
+    def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """A and C of z' = A z, y = C z near a point x (n,), u (m,), z the state and the offsets, where observed."""
+        n, size, count = self.plant.n, self.size, len(self.outputs)
+        A, C = np.zeros((size, size)), np.zeros((count, size))
+        A[:n, :n], f_U = self.plant.jacobians(x, u, t)
+        A[:n, n:] = f_U[:, : size - n]
+        C[:, :n] = np.reshape(self._output_program(*x, t, *self.plant.p)[count:], (count, n))
+        return A, C
+
+    def rank(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> int:
+        """The rank of the observability matrix near a point, in units of the sizes and of the rate."""
+        (A, C), sizes = self.linearised(x, u, t), self.sizes
+        units = np.concatenate([sizes.dx, sizes.du])[: self.size]
+        A, rows = A * units / units[:, None] / sizes.rate, [C * units / sizes.dy[:, None]]
+        for _ in range(1, self.size):
+            rows.append(rows[-1] @ A)
+            rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
+        return int(np.linalg.matrix_rank(np.concatenate(rows), tol=TINY))
+
+    def measured(self, X: np.ndarray, t: float = 0.0) -> np.ndarray:
+        """The outputs (..., l) of states (..., n)."""
+        return X[..., self._places] if self._selects else self.plant.output(X, t)
+
+    def traced_outputs(self, trace: Trace, x: np.ndarray, t: Value) -> list[Value]:
+        """The outputs (l,) on a trace."""
+        return [*(x[self._places] if self._selects else trace.output(x, t))]
+
+    def measure(self) -> Kernel:
+        """npred.prediction.delays.family.OUTPUT: the outputs of a state, without errors."""
+        of = Formulas(self.plant, ())
+        y = self.traced_outputs(of.trace, of.trace.vector("x", self.plant.n), of.trace.input("t"))
+        shown = of.function(y, [vector("x", self.plant.n, "1"), "t"], {"y": len(y)}, "1")
+        return made("measure", family.OUTPUT, skeleton("measure.h"), {"SHOWN": shown}, {"N": self.plant.n})
+
+    def output_function(self, of: Formulas) -> str:
+        """The C function of the outputs (l,) and of their derivatives by the state (l, n)."""
+        outputs, by_x = self._by_state(of.trace)
+        results = {"y": len(outputs), "by_x": len(by_x)}
+        return of.function([*outputs, *by_x], [vector("x", self.plant.n, "1"), "t"], results, "1")
+
+    @property
+    def _places(self) -> list[int]:
+        return [self.plant.states.index(name) for name in self.outputs]
+
+    @property
+    def _selects(self) -> bool:
+        """True if the outputs are states, and not what the plant declares."""
+        return self.outputs != self.plant.outputs or not self.plant.declares_output
+
+    def _by_state(self, trace: Trace) -> tuple[list[Value], list[Value]]:
+        """The outputs (l,) at x and t, and their derivatives by the state (l n,), output by output."""
+        x = trace.vector("x", self.plant.n)
+        y = self.traced_outputs(trace, x, trace.input("t"))
+        columns = [programs.derivative(y, [*x], [*unit]) for unit in np.eye(len(x))]
+        return y, [column[i] for i in range(len(y)) for column in columns]
+
+    @cached_property
+    def _output_program(self) -> Any:
+        trace = Trace(self.plant)
+        outputs, by_x = self._by_state(trace)
+        names = [*tape.names("x", self.plant.n), "t", *tape.names("p", len(self.plant.p))]
+        return python([*outputs, *by_x], names)
+
+    @cached_property
+    def operating_point(self) -> tuple[np.ndarray, np.ndarray]:
+        """X and U where the plant works at t = 0: its equilibrium, else its reference, else its guess."""
+        plant = self.plant
+        if plant.rests or plant.tracks:
+            return plant.target(0.0), plant.u_target(0.0)
+        return plant.guess, plant.kappa(plant.guess)
+
+    @cached_property
+    def _box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the box (POINTS, n), and its ends (2, n)."""
+        point = zip(self.plant.states, self.operating_point[0].tolist(), strict=True)
+        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a)))) for name, a in point]
+        low, high = np.array(ends).T
+        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
+
+    def _check_observable(self) -> None:
+        """Raise ConfigError where the linearised plant is not observable at the equilibrium. A plant that does not rest
+        has to be observable at one point of its box at least.
+        """
+        plant, points = self.plant, [(*self.operating_point, 0.0)]
+        if not plant.rests:
+            moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
+            points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
+        rank = max(self.rank(*point) for point in points)
+        if rank < self.size:
+            where = "at the equilibrium" if plant.rests else "in the box"
+            what = "states and offsets" if self.offset else "states"
+            cure = "measure more, or leave the offset out" if self.offset else "measure more"
+            raise ConfigError(
+                f"{self.label}: expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}, "
+                f"got an observability matrix of rank {rank} of {self.size}; {cure}"
+            )
+
+
+def _finite(rows: np.ndarray) -> np.ndarray:
+    """The rows without NaN and infinity; zeros where there are none."""
+    kept = rows[np.isfinite(rows).all(axis=-1)]
+    return kept if len(kept) else np.zeros((1, rows.shape[-1]))

@@ -1,0 +1,190 @@
+"""A whole controller as C99: the kernels of its control step, a state, and its test."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+import npred
+from npred.base import source_lines
+from npred.base.errors import ConfigError, unlisted
+from npred.exports import Exported, WholeController, c_files, self_test
+from npred.guard.guarded import bare
+from npred.kernels.c_text import comment, constant, literal, single
+from npred.kernels.kernel import Kernel, skeleton
+from npred.loop import signals
+from npred.loop.controller import SNAP, Controller
+from npred.networks.fused import Fused
+from npred.prediction.delays import problem_of
+
+NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
+PRECISIONS = {"float": np.float32, "double": np.float64}
+LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what it amplifies rounding errors by
+WHAT = "export controller"
+# The settings that a step reads
+NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
+FLAGS = "recalls keeps gated observer_count offsets watched holds output_count end_count pulls filter_count"
+ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
+
+
+def sources(
+    controller: Controller, name: str = "npred", precision: str = "double", model: str = "", tunable: bool = False
+) -> tuple[str, str]:
+    """The header and the source, with a program in it that tests them (npred.exports.self_test).
+
+    A `tunable` controller holds the plant's parameters, gamma dt and the settings of the guard in its C struct, so that
+    they can be set. All identifiers begin with `name`.
+    Raises ConfigError for a name or precision that is none, and for a controller with a part that runs in Python.
+    """
+    if not NAME.fullmatch(name):
+        raise ConfigError(f"name: expected a short C identifier in lower case, got {name!r}; take npred")
+    if precision not in PRECISIONS:
+        raise ConfigError(unlisted("precision", precision, PRECISIONS))
+    problem_of(controller.plant).needs(WHAT)
+    if not controller.predictor.compiled:
+        raise ConfigError(
+            f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
+            'load the network with runtime = "fused"'
+        )
+    if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
+        law = type(controller.adaptation).__name__
+        raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")
+    parts, network = controller.parts, bare(controller.predictor)
+    if precision == "float" and hasattr(network, "operator"):  # that of a network in the precision of the file
+        stride = getattr(network, "stride", None)
+        fused = Fused(network.plant, network.operator, network.nx, network.name, stride)  # type: ignore[attr-defined]
+        parts = parts | {"predict": fused.on(network.nx)}
+    kernels = {part: kernel for part, kernel in parts.items() if kernel}
+    variants = {
+        "RECALLS": bool(controller.settings.recalls),
+        "KEEPS": controller.keeps_commands,
+        "WATCHES": "observe" in kernels,
+        "FILTERS": controller.observer is not None,
+        "TUNABLE": tunable,
+        "OFFSETS": bool(controller.settings.offsets),
+        "PROTECTS": controller.safety is not None,
+        "REPEATS": precision == "float" and bool(controller.plant.period),
+    }
+    sizes = _sizes(controller, kernels, variants)
+    included = {
+        "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
+        "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
+        "kernels": _kernels(kernels, precision),
+        "settings": _settings(controller, kernels, sizes, name.upper(), precision),
+        "test": _test(controller, precision),
+    }
+    files = [c_files.filled(f"controller.{suffix}", name, precision, variants, included) for suffix in "hc"]
+    digest = hashlib.sha256("".join(files).encode()).hexdigest()
+    words = ", ".join(f"0x{digest[i : i + 8]}u" for i in range(0, 32, 8))
+    header, source = (text.replace("0" * 64, digest).replace(", ".join(4 * ["0x00000000u"]), words) for text in files)
+    return header, source
+
+
+def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exported:
+    """Write NAME.h and NAME.c to a folder. Raises as `sources`, and ConfigError for a path that is a C file's."""
+    if path.suffix in (".c", ".h"):
+        raise ConfigError(f"path: expected a folder, got {str(path)!r}; give the name of its files as name")
+    header, source = sources(of.controller, name, precision, of.about)
+    files = [path / f"{name}.h", path / f"{name}.c"]
+    path.mkdir(exist_ok=True)
+    for file, text in zip(files, (header, source), strict=True):
+        file.write_text(text, encoding="utf-8")
+    return Exported(files, {"digest": digest(header)}, f"{of.controller!r} in {precision} precision")
+
+
+def D_hat_bounds(controller: Controller) -> tuple[float, float]:
+    """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
+    low, high = controller.settings.bounds.tolist()
+    return low, min(high, controller.longest_D_hat) if controller.settings.recalls else high
+
+
+def digest(header: str) -> str:
+    """The sha256 that a header holds, of both files."""
+    return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
+
+
+def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]) -> dict[str, int]:
+    """The sizes of the C structs' arrays, by their names."""
+    z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
+    sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
+    sizes |= {"N_OUTPUTS": len(controller.outputs)}
+    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS"] else {}
+    sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
+    sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
+    sizes |= {"ENDS": len(z.moments)} if variants["PROTECTS"] else {}
+    if variants["TUNABLE"]:
+        sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
+    needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
+    states = controller.plant.n + 3 * controller.plant.m  # of a model that goes on from a sample
+    filters = settings.filter_count + 2 * settings.output_count
+    return sizes | {"WORK": needed + states + settings.observer_count + filters}
+
+
+def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:
+    """The kernels and the step, as the loop runs them here, with one lane."""
+    texts = [text for kernel in kernels.values() for text in kernel.texts]
+    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
+    text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))
+    return single(text) if real == "float" else text
+
+
+def _settings(
+    controller: Controller, kernels: Mapping[str, Kernel], sizes: Mapping[str, int], prefix: str, real: str
+) -> str:
+    """The numbers that the controller is set to, and the kernels by their parts, as constants."""
+    low, high = D_hat_bounds(controller)
+    numbers = {"DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
+    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max}
+    numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
+    settings = controller.settings
+    arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}
+    start = controller.fresh().memory
+    arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
+    arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
+    values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
+    values |= {name: str(int(getattr(settings, name))) for name in FLAGS.split()}
+    values |= {name: f"({real} *)the_{name}" for name in ARRAYS.split()}
+    shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
+    lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
+    lines += [constant(f"the_{name}", a if a.size else np.zeros(1), real) for name, a in arrays.items()]
+    lines += [f"static const Shape the_shape = {{{shape}}};"]
+    pointers = {name: kernel.name for name, kernel in kernels.items()}
+    for kind, members in (("Settings", values), ("Parts", pointers)):
+        entries = (f"    .{name} = {text}," for name, text in members.items())
+        lines += [f"static const {kind} the_{kind.lower()} = {{", *entries, "};"]
+    return "\n".join(lines)
+
+
+def _about(controller: Controller, real: str, model: str) -> list[str]:
+    """What the controller is made of, for the head of the file."""
+    plant = controller.plant
+    law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
+    units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
+    return [
+        f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
+        *([f"Model: {model}."] if model else []),
+        f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
+        f"A control step each {plant.time_text(controller.dt, '')}; D_hat and t are in this unit too.",
+        f"In {real} precision; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
+        f"X: {', '.join(units.get(name, name) for name in plant.states)}.",
+        f"U: {', '.join(units.get(name, name) for name in plant.inputs)}.",
+    ]
+
+
+def _test(controller: Controller, real: str) -> str:
+    """Calls of the controller in Python, which the file's program repeats."""
+    test, growth = self_test.designed(controller)
+    U, D_hat = self_test.answers(controller, test)
+    size = np.nanmax(np.abs(U), axis=0)
+    arrays = {"X": test.X, "U": U, "D_hat": D_hat, "size": np.append(np.where(size > 0, size, 1.0), D_hat.max() or 1.0)}
+    arrays |= {"u": test.u} if test.u.size else {}
+    vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
+    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.recalls else {})
+    vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
+    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # of a network
+    limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
+    counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
+    does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
+    return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors])

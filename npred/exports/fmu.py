@@ -1,0 +1,389 @@
+"""A controller as a Functional Mock-up Unit for co-simulation, FMI 3.0 or 2.0 [fmi-standard.org], around its C.
+
+An FMU is a zip archive: a description of its variables, a shared library for this machine, and the sources of both. Its
+control steps are due at start + k dt; one is done within each communication step [t, t + h) that holds its time, with
+the inputs as they stand, and the outputs are those of the last one.
+"""
+
+import hashlib
+import json
+import os
+import platform
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import npred
+from npred.base.errors import ConfigError, unlisted
+from npred.base.json_files import escaped
+from npred.exports import Exported, WholeController, c_controller, c_files
+from npred.guard.guarded import PASSES, Guarded, bare
+from npred.kernels.c_text import literal
+from npred.loop.controller import Controller
+from npred.loop.safety.filter import assumed
+
+SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
+SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "windows": "windows-gnu"}  # as zig names them
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
+ABOUT = {  # the categories of the log
+    "logStatusWarning": "a control step that was refused",
+    "logStatusDiscard": "a value that was refused",
+    "logStatusError": "a call that was wrong",
+}
+TOKENS = {2: "guid", 3: "instantiationToken"}
+ABILITIES = {
+    2: "canHandleVariableCommunicationStepSize canNotUseMemoryManagementFunctions canGetAndSetFMUstate "
+    "canSerializeFMUstate",
+    3: "canGetAndSetFMUState canSerializeFMUState canHandleVariableCommunicationStepSize",
+}
+LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
+PARAMETERS = ("tunable", "fixed")  # of the roles, which are these, input, output and independent
+NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
+NO_PLACE = "sources only, for FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
+
+
+class Platform(NamedTuple):
+    """A system and its machine, in FMI 3.0's words."""
+
+    system: str
+    machine: str
+
+    def place(self, version: int, identifier: str) -> str | None:
+        """Where its library lies in the archive; None where FMI has no name for it."""
+        folder = f"{self.machine}-{self.system}" if version == 3 else FOLDERS_OF_2.get(self)
+        return f"binaries/{folder}/{identifier}{SUFFIXES[self.system]}" if folder and self.system in SUFFIXES else None
+
+
+FOLDERS_OF_2 = {
+    Platform("linux", "x86_64"): "linux64",
+    Platform("darwin", "x86_64"): "darwin64",
+    Platform("windows", "x86_64"): "win64",
+}
+NAMED = {name: platform for platform, name in FOLDERS_OF_2.items()} | {
+    f"{machine}-{system}": Platform(system, machine) for system in SUFFIXES for machine in MACHINES.values()
+}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the model description. Those of one `block` lie one after the other in the instance.
+
+    `start` has the numbers of the whole array, row by row; a parameter lies within low, high.
+    """
+
+    name: str
+    role: str
+    block: str
+    start: tuple[float, ...]
+    about: str
+    unit: str = ""
+    shape: tuple[int, ...] = ()
+    low: float = -LARGEST
+    high: float = LARGEST
+    boolean: bool = False
+
+
+def export(
+    of: WholeController, path: Path, *, name: str, precision: str, fmi: int, platforms: str | Sequence[str]
+) -> Exported:
+    """Write the FMU of a controller.
+
+    It holds a library for each of `platforms` (NAMED), which ziglang compiles; by default one for this machine, or,
+    without a C compiler, its sources alone. Raises ConfigError for another version of FMI, for a platform that it has
+    no name for, for names of variables that are not different, and as npred.exports.c_controller.sources does;
+    MissingError for platforms without ziglang.
+    """
+    if fmi not in TOKENS:
+        raise ConfigError(f"fmi: expected 3 or 2, got {fmi}; give one")
+    named = list(filter(None, platforms.split(","))) if isinstance(platforms, str) else platforms
+    places = _places(fmi, name, named)
+    controller = of.controller
+    listed = variables(controller, np.zeros(controller.plant.n) if of.X0 is None else of.X0, arrays=fmi == 3)
+    header, source = c_controller.sources(controller, name, precision, of.about, tunable=True)
+    texts = {f"{name}.h": header, f"{name}.c": source}
+    texts |= {file: c_files.filled(file, name, precision) for file in ("instance.h", "calls.h", f"fmi{fmi}.c")}
+    sources = [f"{name}.c", f"fmi{fmi}.c"]
+    undated = _description(of, listed, fmi, name, "", sources)
+    digest = hashlib.sha256("\0".join([*texts.values(), undated]).encode()).hexdigest()  # of all that it is made of
+    token = "{" + "-".join(digest[i:j] for i, j in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32))) + "}"
+    texts["variables.h"] = _header(controller, listed, name, token)
+    files: dict[str, str | bytes] = {"modelDescription.xml": _description(of, listed, fmi, name, token, sources)}
+    files |= {place: _compiled(texts, sources, target) for place, target in places.items()}
+    files |= {f"sources/{file}": text for file, text in texts.items()}
+    files |= {"sources/buildDescription.xml": _build_description(name, sources)} if fmi == 3 else {}
+    _archive(path, files)
+    without = NO_PLACE if c_files.compiler() else NO_LIBRARY
+    holds = f"{', '.join(places)} and sources" if places else without
+    facts = {"libraries": list(places), "token": token, "variables": [variable.name for variable in listed]}
+    return Exported([path], facts, f"{controller!r} as FMI {fmi}.0, {holds}")
+
+
+def _places(version: int, identifier: str, names: Sequence[str]) -> dict[str, str]:
+    """Where the libraries of platforms lie, and how zig names these; without names that of this machine, "".
+
+    Nowhere without a C compiler, or where FMI has no name for this machine. Raises ConfigError for a platform that has
+    no name.
+    """
+    if not names:
+        machine = platform.machine().lower()
+        place = Platform(platform.system().lower(), MACHINES.get(machine, machine)).place(version, identifier)
+        return {place: ""} if place and c_files.compiler() else {}
+    nameable = [name for name, one in NAMED.items() if one.place(version, identifier)]
+    places = {}
+    for name in names:
+        if name not in nameable:
+            raise ConfigError(unlisted("platforms", name, nameable, "some of"))
+        one = NAMED[name]
+        places[str(one.place(version, identifier))] = f"{one.machine}-{SYSTEMS[one.system]}"
+    return places
+
+
+def _compiled(texts: Mapping[str, str], sources: Sequence[str], target: str) -> bytes:
+    """The shared library of the sources for a machine, this one without a name. Raises as c_files.build does.
+
+    Only what FMI names is visible in it.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in texts.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        library, flag = Path(folder) / "library", "-fvisibility=hidden"
+        c_files.build([Path(folder) / name for name in sources], library, "fmu", flag, other=target)
+        return library.read_bytes()
+
+
+def _archive(path: Path, files: Mapping[str, str | bytes]) -> None:
+    """Write the zip archive, its entries in this order, without the time: the same files give the same bytes."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as target, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in files.items():
+                entry = zipfile.ZipInfo(name)  # of the year 1980, as zip counts from there
+                entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
+                archive.writestr(entry, content)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+    if sys.platform != "win32":
+        path.chmod(0o644)
+
+
+def _description(
+    of: WholeController, listed: Sequence[Variable], version: int, name: str, token: str, sources: Sequence[str]
+) -> str:
+    """modelDescription.xml."""
+    controller = of.controller
+    root = ET.Element("fmiModelDescription", {"fmiVersion": f"{version}.0", TOKENS[version]: token})
+    root.set("modelName", controller.plant.name)
+    root.set("description", f"Predictor feedback: {of.about or controller.predictor.name}")
+    root.set("generationTool", f"npred {npred.__version__}")
+    root.set("variableNamingConvention", "flat")
+    slave = ET.SubElement(root, "CoSimulation", dict.fromkeys(ABILITIES[version].split(), "true"), modelIdentifier=name)
+    if version == 3:
+        slave.set("fixedInternalStepSize", repr(controller.dt))
+    else:
+        _each(ET.SubElement(slave, "SourceFiles"), "File", {key: {} for key in sources})
+    units = sorted({variable.unit for variable in listed} - {""})
+    _each(ET.SubElement(root, "UnitDefinitions"), "Unit", {key: {} for key in units})
+    _each(ET.SubElement(root, "LogCategories"), "Category", {key: {"description": ABOUT[key]} for key in ABOUT})
+    times = {"startTime": 0.0, "stopTime": of.t_end, "stepSize": controller.dt}
+    ET.SubElement(root, "DefaultExperiment", {key: repr(float(value)) for key, value in times.items()})
+    elements, structure = ET.SubElement(root, "ModelVariables"), ET.SubElement(root, "ModelStructure")
+    for reference, variable in enumerate(listed):
+        _describe(variable, reference, elements, version)
+    outputs = [reference for reference, variable in enumerate(listed) if variable.role == "output"]
+    for kind, depends in (("Output", {"dependencies": ""}), ("InitialUnknown", {})):
+        unknowns = structure if version == 3 else ET.SubElement(structure, f"{kind}s")
+        for reference in outputs:
+            place = {"valueReference": str(reference)} if version == 3 else {"index": str(reference + 1)}
+            ET.SubElement(unknowns, kind if version == 3 else "Unknown", place | depends)
+    return _text(root)
+
+
+def _describe(variable: Variable, reference: int, elements: ET.Element, version: int) -> None:
+    """Append the element of a variable: its name and role; its unit, bounds and start; in FMI 3.0 its sizes."""
+    parameter = variable.role in PARAMETERS
+    attributes = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.about,
+        "causality": "parameter" if parameter else variable.role,
+        "variability": variable.role if parameter else "discrete" if variable.boolean else "continuous",
+    }
+    number = {"unit": variable.unit} if variable.unit else {}
+    number |= {"min": repr(variable.low)} if parameter and variable.low > -LARGEST else {}
+    number |= {"max": repr(variable.high)} if parameter and variable.high < LARGEST else {}
+    if parameter or variable.role == "input":
+        number["start"] = " ".join(repr(value) for value in variable.start)
+    if version == 3:
+        element = ET.SubElement(elements, "Boolean" if variable.boolean else "Float64", attributes | number)
+        for extent in variable.shape:
+            ET.SubElement(element, "Dimension", start=str(extent))
+        return
+    if parameter or variable.role == "output":
+        attributes["initial"] = "exact" if parameter else "calculated"
+    element = ET.SubElement(elements, "ScalarVariable", attributes)
+    ET.SubElement(element, "Boolean" if variable.boolean else "Real", number)
+
+
+def _build_description(name: str, sources: Sequence[str]) -> str:
+    """sources/buildDescription.xml of FMI 3.0."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
+    _each(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", {key: {} for key in sources})
+    _each(configuration, "Library", {"m": {}})
+    return _text(root)
+
+
+def _each(parent: ET.Element, kind: str, named: Mapping[str, dict[str, str]]) -> None:
+    """An element for each name, with its other attributes."""
+    for name, attributes in named.items():
+        ET.SubElement(parent, kind, {"name": name} | attributes)
+
+
+def _text(root: ET.Element) -> str:
+    """The XML; characters that XML has no place for are spelt out."""
+    for element in root.iter():
+        element.attrib = escaped(element.attrib)
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def variables(controller: Controller, X0: ArrayLike, arrays: bool) -> list[Variable]:
+    """All variables, a value reference being the place in this list; `arrays` where one variable may be an array.
+
+    Raises ConfigError where two have one name.
+    """
+    X0 = np.asarray(X0, dtype=float)
+    listed = [*_inputs(controller, X0, arrays), *_outputs(controller), *_parameters(controller)]
+    names = [variable.name for variable in listed]
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(
+            f"export fmu: expected different names of variables, got {doubled[0]!r} twice; rename that state or input"
+        )
+    return listed
+
+
+def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Variable]:
+    plant, nx = controller.plant, controller.predictor.nx
+    yield Variable("time", "independent", "TIME", (0.0,), "time", plant.time_unit)
+    what = "measured output" if controller.observer else "measured state"
+    X = X0 if controller.observer is None else controller.observer.measured(X0)
+    for name, value in zip(controller.outputs, X.tolist(), strict=True):
+        yield Variable(name, "input", "X", (value,), what, plant.units.get(name, ""))
+    if controller.actuator == "history":
+        about = "how old that is when the control step is due; below 0 for no sample"
+        yield Variable("sample_age", "input", "SAMPLE_AGE", (0.0,), about, plant.time_unit)
+        return
+    about = "commands under way, by nodes and inputs: row 1 acts now, the last was sent just now"
+    if arrays:
+        start = tuple(np.tile(controller.u0, nx).tolist())
+        yield Variable("actuator_state", "input", "ACTUATOR", start, about, shape=(nx, plant.m))
+        return
+    for j in range(nx):
+        for c, value in enumerate(controller.u0.tolist()):
+            unit = plant.units.get(plant.inputs[c], "")
+            yield Variable(f"actuator_state[{j + 1},{c + 1}]", "input", "ACTUATOR", (value,), about, unit)
+
+
+def _outputs(controller: Controller) -> Iterator[Variable]:
+    """U, what it is made of, and, where commands are recalled, what npred.loop.status says of the last control step."""
+    plant = controller.plant
+    for name, value in zip(plant.inputs, controller.u0.tolist(), strict=True):
+        yield Variable(name, "output", "U", (value,), "command", plant.units.get(name, ""))
+    yield Variable("D_hat", "output", "D_HAT", (controller.D_hat,), "estimated delay", plant.time_unit)
+    for name in plant.states:
+        about = "predicted state, when the command acts"
+        yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, plant.units.get(name, ""))
+    if isinstance(controller.predictor, Guarded):
+        about = "whether the numerical predictor answered"
+        yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
+        yield Variable("error", "output", "ERROR", (0.0,), "the guard's estimate of the error of the command")
+    if controller.actuator != "history":
+        return
+    about = "age of the last sample that was used; -1 before the first"
+    yield Variable("age", "output", "AGE", (-1.0,), about, plant.time_unit)
+    yield Variable("late", "output", "LATE", (0.0,), "samples so far that came after a newer one, or were too old")
+    yield Variable("refused", "output", "REFUSED", (0.0,), "samples so far that were not believed")
+    if controller.observer:
+        about = "how often the observer of the state was lost and began anew"
+        yield Variable("renewed", "output", "RENEWED", (0.0,), about)
+    if controller.parts["observe"]:
+        about = "half the range of the delays that fit as well"
+        yield Variable("D_hat_spread", "output", "SPREAD", (controller.status.D_hat_spread,), about, plant.time_unit)
+    if controller.watchdog:
+        about = "whether the watchdog has the command"
+        yield Variable("handed_over", "output", "HANDED_OVER", (0.0,), about, boolean=True)
+    if controller.safety:
+        yield Variable("filtered", "output", "FILTERED", (0.0,), "whether the safety filter changed U", boolean=True)
+        about = "whether the bounds of U left no way to keep the limits"
+        yield Variable("unkept", "output", "UNKEPT", (0.0,), about, boolean=True)
+        yield Variable("kept", "output", "KEPT", (0.0,), "the least limit of the predicted states, safe at 0 or above")
+    if controller.settings.offsets:
+        for name in plant.inputs:
+            about = "estimated, added to the command before the plant"
+            yield Variable(f"offset.{name}", "output", "OFFSET", (0.0,), about, plant.units.get(name, ""))
+
+
+def _parameters(controller: Controller) -> Iterator[Variable]:
+    """What can be set: of a network it is not the plant's parameters, for it was trained for them."""
+    plant, predictor, law = controller.plant, controller.predictor, controller.adaptation
+    if not plant.declares_delay:
+        low, high = c_controller.D_hat_bounds(controller)
+        first, about = (controller.D_hat,), "first estimate of the delay"
+        high = min(high, LARGEST)
+        yield Variable("D_hat_start", "fixed", "D_HAT_START", first, about, plant.time_unit, low=low, high=high)
+    if law is not None and controller.settings.gamma_dt > 0:
+        yield Variable("gamma", "tunable", "GAMMA", (law.gamma,), "gain of the delay law", low=SMALLEST)
+    if isinstance(predictor, Guarded):
+        about = "largest error of the command that passes the guard"
+        yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
+    if not hasattr(bare(predictor), "operator"):
+        decided = assumed(plant) if controller.safety else []
+        for name, value in plant.parameters.items():
+            about = "parameter of plant and law"
+            about += f"; the safety filter is written for {value:g}" if name in decided else ""
+            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), about)
+
+
+def _header(controller: Controller, listed: Sequence[Variable], name: str, token: str) -> str:
+    """The text of variables.h: what instance.h and the functions of FMI read of this controller."""
+    ends = list(accumulate(len(variable.start) for variable in listed))
+    firsts = [end - len(variable.start) for end, variable in zip(ends, listed, strict=True)]
+    blocks: dict[str, int] = {}
+    for first, variable in zip(firsts, listed, strict=True):
+        blocks.setdefault(variable.block, first)
+    entries = [
+        f"    {{{first}, {len(variable.start)}, {variable.role.upper()}, {int(variable.boolean)}, "
+        f"{literal(variable.low, 'double')}, {literal(variable.high, 'double')}}},"
+        for first, variable in zip(firsts, listed, strict=True)
+    ]
+    lines = [
+        "/* The variables of this FMU. */",
+        f'#include "{name}.h"',
+        "",
+        f'#define TOKEN "{token}"',
+        f"#define STEP {controller.dt!r}",
+        f"#define TIME_UNIT {json.dumps(controller.plant.time_unit.replace('%', ''))} /* of STEP and all times */",
+        f"#define GUARD_PASSES {PASSES!r}",
+        f"#define VARIABLES {len(listed)}",
+        f"#define VALUES {ends[-1]}",
+        *(f"#define AT_{block} {first}" for block, first in blocks.items()),
+        "",
+        "static const Variable variables[VARIABLES] = {",
+        *entries,
+        "};",
+        "static const double start_values[VALUES] = {",
+        *(f"    {', '.join(literal(value, 'double') for value in variable.start)}," for variable in listed),
+        "};",
+    ]
+    return "\n".join(lines) + "\n"

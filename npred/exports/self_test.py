@@ -1,0 +1,257 @@
+"""The test inside an exported controller: calls that move all that it remembers, and what the one in Python answers.
+
+A plant whose delay is another one than D_hat is kicked about. Its samples come in time, late, wrong, or not at all.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from npred.base.errors import ConfigError, DivergedError
+from npred.base.randomness import generator
+from npred.loop.controller import Controller
+
+# What a call does, as runtimes/c/controller.c numbers it.
+SAMPLED, STAMPED, APPLIED, SAVED, ESTIMATE, TIME, ANEW = (1 << bit for bit in range(7))
+NOW = SAMPLED | STAMPED
+DOES = {"plain": SAMPLED, "none": STAMPED, "restart": STAMPED | TIME, "anew": STAMPED | ANEW}
+DOES |= {"applied": NOW | APPLIED, "saved": NOW | SAVED, "estimate": NOW | ESTIMATE, "time": NOW | TIME}
+# Of the kicks: the first one is taken that does not amplify rounding errors too much.
+SIZES = (1.0, 0.5, 0.2, 0.1, 0.03)
+EDGES = {"edge": 0.99, "over": 1.01}  # of the gate: a sample that is still believed, and one that is not
+GROWTH = 200.0  # of a relative error of the samples, up to which the test takes these
+TURNED = 1e-9  # that error
+X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # of a controller that is given u: rows that are taken in turn
+
+ROUNDED = {"earlier": 0.47, "later": 0.53}  # of a control step: a sample's time, which is moved to the nearest begin
+USED = 1  # a sample's fate: npred/kernels/c/controller.h
+BISECTIONS = 12  # that find how wide the gate is
+
+
+class Test(NamedTuple):
+    """Calls, and what is measured in them: X (calls or rows, outputs), and u (rows, nx, m) or nothing."""
+
+    does: np.ndarray
+    t: np.ndarray
+    taken: np.ndarray
+    X: np.ndarray
+    u: np.ndarray
+
+
+def designed(controller: Controller) -> tuple[Test, float]:
+    """The calls that test a controller, and how much larger an error of a sample is in U."""
+    draw = _recalled if controller.settings.recalls else _measured
+    least, best = np.inf, None
+    for size in SIZES:
+        test = draw(controller, size)
+        growth = _growth(controller, test)
+        if best is None or growth < least:
+            best, least = test, growth
+        if least <= GROWTH:
+            break
+    assert best is not None
+    return best, least
+
+
+def answers(controller: Controller, test: Test) -> tuple[np.ndarray, np.ndarray]:
+    """U (calls, m), NaN where a call is refused, and D_hat (calls,) of a new controller."""
+    player = _Player(controller, test.u)
+    rows = [
+        player.call(s, int(does), t, taken, test.X[s % len(test.X)])
+        for s, (does, t, taken) in enumerate(zip(test.does, test.t, test.taken, strict=True))
+    ]
+    return np.array([U for U, _ in rows]), np.array([D_hat for _, D_hat in rows])
+
+
+class _Player:
+    """A new controller that takes the calls of a test."""
+
+    def __init__(self, controller: Controller, u: np.ndarray) -> None:
+        self.first, self.twin, self.u = controller, controller.fresh(), u
+
+    def call(self, s: int, does: int, t: float, taken: float, X: np.ndarray) -> tuple[np.ndarray, float]:
+        if does & ANEW:
+            self.twin = self.first.fresh()
+        if does & SAVED:
+            saved, self.twin = self.twin.state(), self.first.fresh()
+            self.twin.restore(saved)
+        if does & ESTIMATE:
+            self.twin.D_hat = self.first.D_hat
+        if does & TIME:
+            self.twin.t = t
+        try:
+            U = self._step(s, does, t, taken, X).copy()
+        except (ConfigError, DivergedError):
+            U = np.full(self.twin.plant.m, np.nan)
+        return U, self.twin.D_hat
+
+    def _step(self, s: int, does: int, t: float, taken: float, X: np.ndarray) -> np.ndarray:
+        twin = self.twin
+        if not twin.settings.recalls:
+            u, other = (self.u[(s + k) % len(self.u)] for k in (0, 1))
+            return twin.step(X, u, other if does & STAMPED else None)
+        if not does & STAMPED:
+            return twin.step(X)
+        applied = 0.5 * twin.memory.U[:, 0] if does & APPLIED else None
+        return twin.step(X, t=t, sampled_at=taken, applied=applied) if does & SAMPLED else twin.step(t=t)
+
+
+def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float) -> np.ndarray:
+    """A sample of time t with an output that is a share of the gate off what the controller expects; Y without one."""
+    one, saved = s % len(Y), twin.state()
+    if not twin.settings.gated:
+        return Y
+
+    def tried(sample: np.ndarray) -> Controller:
+        scout = twin.fresh()
+        scout.restore(saved)
+        scout.step(sample, t=t)
+        return scout
+
+    def believed(off: float) -> bool:
+        scout = tried(np.where(np.arange(len(Y)) == one, expected + off, expected))
+        return int(scout.memory.fate[one, 0]) == USED if scout.observer else scout.status.age == 0.0
+
+    try:
+        expected = Y - tried(Y).status.innovation
+        sign = 1.0 if s % 2 else -1.0
+        wide = next((w for w in 2.0 ** np.arange(-20, 20) * max(1.0, abs(Y[one])) if not believed(sign * w)), None)
+        if wide is None or not np.isfinite(expected).all():
+            return Y
+        low, high = 0.5 * wide, wide
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if believed(sign * middle) else (low, middle)
+    except (ConfigError, DivergedError):
+        return Y
+    expected[one] += share * sign * low
+    return expected
+
+
+class _World:
+    """The plant, which gets each command a delay later; only a maker of samples."""
+
+    def __init__(self, controller: Controller, size: float) -> None:
+        self.plant, self.dt, self.random = controller.plant, controller.dt, generator(0, "self-test")
+        self.middle = self.plant.target(0.0)
+        box = [self.plant.box.get(name, (0.0, 0.0)) for name in self.plant.states]
+        wide = np.array([(high - low) / 2 for low, high in box])
+        self.half = np.where(wide > 0, wide, 0.3 * np.maximum(np.abs(self.middle), 1.0))
+        low, high = controller.settings.bounds
+        self.D = min(max(0.7 * controller.D_hat, low), high)
+        self.size, self.t, self.X = size, controller.t, self.middle
+        first = controller.u0 if controller.keeps_commands else np.zeros(self.plant.m)
+        self.sent, self.past = [(-np.inf, first)], [self.X]
+        self.kick()
+
+    def kick(self) -> None:
+        """Put the state to some place about the target."""
+        self.X = self.middle + 0.6 * self.size * self.half * self.random.uniform(-1.0, 1.0, len(self.middle))
+        self.past.append(self.X)
+
+    def to(self, t: float) -> None:
+        """Go on to a time, by Heun's method."""
+        steps = min(max(int((t - self.t) / self.dt * 2), 1), 40)
+        h = (t - self.t) / steps
+        for k in range(steps):
+            at = self.t + k * h
+            U = self._acting(at)
+            rate = self.plant.f(self.X, U, at)
+            self.X = self.X + h / 2 * (rate + self.plant.f(self.X + h * rate, U, at + h))
+            self.X = np.clip(self.X, self.middle - 2 * self.half, self.middle + 2 * self.half)
+        self.t = t
+        if not (np.abs(self.X - self.middle) < 2 * self.half).all():
+            self.kick()
+        self.past.append(self.X)
+
+    def _acting(self, t: float) -> np.ndarray:
+        D = float(self.plant.delay(self.X, t)) if self.plant.declares_delay else self.D
+        late = (next(U[i] for at, U in reversed(self.sent) if at <= t - D * r) for i, r in enumerate(self.plant.ratios))
+        return np.array(list(late))
+
+
+def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
+    """What happens, how many control steps after the call before, and how many a sample is old."""
+    rows, d = len(controller.memory.held), max(controller.D_hat / controller.dt, 1.0)
+    waits, oldest = controller.watchdog.after / controller.dt if controller.watchdog else 4.0, controller._oldest
+    now = ("now", 1.0, 0.0)
+    yield from 10 * [("plain", 1.0, 0.0)]
+    for part in 6 * [0.25, 0.0, 0.75, 0.0]:  # three times the delay
+        yield "now", max(round(d / 8), 1) + part, 0.0
+    for gap in (0.75, 1.25, 0.5, 0.25, 0.125, 0.5, 0.375, 0.25, 1.75, 2.5, 1.0, 1.004, 1.0, 1.371):
+        yield "now", gap, 0.0
+    for gap, age in ((1.25, 0.5), (1.75, 1.0), (4.25, 3.25), (3.0, 1.5), (1.125, 3.25), (1.0, 12.0)):
+        yield "now", gap, age
+    yield from [("none", 1.0, 0.0), ("none", 1.5, 0.0), ("none", 1.0, 0.0), ("applied", 1.0, 0.0), now]
+    yield from [("none", 1.0, 0.0), ("far", 1.25, 0.25), ("now", 1.0, 1.5), now, ("estimate", 1.0, 0.0)]
+    for age in (oldest / 2, oldest + 3.0, oldest + 0.5, oldest - 0.5, 0.0):
+        yield from [("none", oldest / 2 + 3.5, 0.0), ("none", oldest / 2 + 1.25, 0.0), ("now", 1.0, age)]
+    for what in EDGES:
+        for gap, age in ((1.0, 0.0), (2.5, 1.5), (2.5, 1.5), (1.0, 0.0)):
+            yield from [(what, gap, age), now, ("nan", 0.375, 0.0)]
+        yield from [("none", oldest + 3.25, 0.0), (what, oldest + 4.0, max(oldest - 2.0, 0.0)), now]
+    yield from [("back", -1.0, 0.0), ("far", 2.0, 0.0), now, ("nan", 1.0, 0.0), ("none", 1.0, 0.0), ("far", 1.0, 0.0)]
+    yield from [now, ("kick", 1.0, 0.5), *5 * [("far", round(d / 3) + 0.5, 0.0)], *3 * [now]]
+    yield from [("saved", 1.0, 0.0), ("estimate", 1.25, 0.0), now, ("time", 1.0, 0.0), now]
+    yield from [("restart", 1.0, 0.0), ("now", 1.0, oldest + 0.5), ("now", 1.0, 3.0), now, ("now", 1.0, 0.25)]
+    yield from [*4 * [("none", round(waits / 3) + 0.25, 0.0)], *3 * [now], ("kick", 1.0, 0.0)]
+    for gap, first in ((rows + 3.5, "now"), (4.0 * rows + 7.0, "far")):
+        yield from [(first, gap, 0.0), ("kick", 0.75, 0.0), ("now", 1.25, 0.5), *4 * [now], ("estimate", 1.0, 0.0)]
+    yield from [("none", 4.0 * rows + 9.0, 0.0), ("far", 1.0, 0.0), *3 * [now], *4 * [("plain", 1.0, 0.0)]]
+    yield from [*(2 * [(what, 1.375, 0.0) for what in ROUNDED]), now]
+    yield from [("far", 1.0, 0.0), ("restart", 1.0, 0.0), *5 * [("far", round(d / 3) + 0.5, 0.0)], *2 * [now]]
+    yield from [("anew", 1.0, 0.0), ("now", 1.0, oldest + 0.5), now, ("now", 1.0, 1.0), now, ("none", 1.0, 0.0)]
+    yield from 5 * [now]
+
+
+def _recalled(controller: Controller, size: float) -> Test:
+    """Those of a controller that remembers its commands."""
+    world, player, shift, rows = _World(controller, size), _Player(controller, np.zeros(0)), 0.0, []
+    outputs, gate = controller.observer.measured if controller.observer else np.asarray, controller.outlier_limit or 0.3
+    for s, (what, gap, age) in enumerate(_calls(controller)):
+        world.to(world.t + max(gap, 0.0) * controller.dt * (s > 0))
+        if what == "kick":
+            world.kick()
+        shift += 1.7 * (what in ("time", "restart"))
+        t, X = world.t + shift + min(gap, 0.0) * controller.dt, world.past[max(len(world.past) - 1 - round(age), 0)]
+        Y = np.asarray(outputs(X + 1.2 * gate * world.half * (what == "far")), dtype=float)
+        Y = np.full(len(Y), np.nan) if what in ("nan", "none", "restart", "anew") else Y
+        age = (t / controller.dt - ROUNDED[what]) % 1.0 if what in ROUNDED else age
+        taken = t - age * controller.dt
+        Y = _at_the_gate(player.twin, s, taken, Y, EDGES[what]) if what in EDGES else Y
+        call = DOES.get(what, NOW), t, taken, Y
+        rows.append(call)
+        world.sent.append((world.t, np.nan_to_num(player.call(s, *call)[0])))
+    does, t, taken, X = (np.array(column) for column in zip(*rows, strict=True))
+    return Test(does, t, taken, X, np.zeros(0))
+
+
+def _measured(controller: Controller, size: float) -> Test:
+    """Those of a controller that is given u: laws of states about the target, and waves."""
+    world, nx = _World(controller, size), controller.predictor.nx
+    low, high = controller.settings.input_bounds.reshape(-1, 2).T
+    x, X, u = np.linspace(0.0, 1.0, nx)[:, None], [], []
+    for row in range(X_ROWS):
+        world.kick()
+        X.append(world.X)
+        a, b = (controller.plant.kappa(world.X * k + world.middle * (1 - k)) for k in (0.3, 0.9))
+        u.append(np.clip(a + (b - a) * x + 0.2 * (b - a) * np.sin((3 + row) * x), low, high))
+    does = np.full(MEASURED_CALLS, SAMPLED)
+    does[1::2] |= STAMPED
+    does[[9, 13, 17]] |= SAVED, ESTIMATE, TIME
+    t = controller.t + (np.arange(MEASURED_CALLS) + 20.0 * (np.arange(MEASURED_CALLS) >= 17)) * controller.dt
+    return Test(does, t, t, np.array(X), np.array(u[:U_ROWS]))
+
+
+def _growth(controller: Controller, test: Test) -> float:
+    """The largest error of U, of its size, over a relative error of the samples; infinity where one is refused anew."""
+    random, (U, _) = generator(0, "self-test", "growth"), answers(controller, test)
+    size, largest = np.nanmax(np.abs(U), axis=0), 0.0
+    for _ in range(2):
+        turned = test._replace(X=test.X * (1 + TURNED * random.uniform(-1, 1, test.X.shape)))
+        apart = np.abs(answers(controller, turned)[0] - U)
+        if (np.isnan(apart) != np.isnan(U)).any():
+            return np.inf
+        largest = max(largest, float(np.nanmax(apart / np.where(size > 0, size, 1.0))) / TURNED)
+    return largest

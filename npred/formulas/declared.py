@@ -1,0 +1,141 @@
+"""The declared functions of a plant, which stands on a higher floor: their calls, and their failures with advice."""
+
+import re
+from collections import namedtuple
+from collections.abc import Callable, Sequence
+from functools import cache
+from types import SimpleNamespace
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from npred.base import source_lines
+from npred.base.errors import ConfigError, similar
+from npred.formulas import Parameters, Value
+from npred.formulas.tape import FUNCTIONS, Functions
+
+Components = list[Value] | None
+
+SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output", "safe")}
+ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
+ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
+ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
+HINTS = {
+    "for &": "write M.where(a, M.where(b, yes, no), no) for a and b",
+    "for |": "write M.where(a, yes, M.where(b, yes, no)) for a or b",
+    "tuple indices must be": "states, inputs and parameters have names: write x.name, u.name, p.name",
+    "'Symbol' object has no attribute": "look at the order of the arguments: write def {signature}",
+    "Inputs": "inputs have names: write u.name",
+    "State": "states have names: write x.name",
+}
+RETURNS = {
+    "f": "one derivative per state",
+    "kappa": "one value per input",
+    "reference": "one value per state",
+    "V": "one number, not a list",
+    "delay": "one number of seconds, not a list",
+    "mechanics": "M, force and damping",
+    "output": "a list, one value per output",
+    "safe": "a list, one value per limit, at least 0 where it is safe",
+}
+
+
+class Declared(Protocol):
+    """A plant as the formula compiler needs it: names, sizes, parameters, functions; npred.plants.Plant has them."""
+
+    traced: ClassVar[bool]
+    name: str
+    declaration: Any
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: dict[str, float]
+
+    @property
+    def n(self) -> int: ...
+    @property
+    def m(self) -> int: ...
+
+    def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
+        """A declared function on components of any kind."""
+        ...
+
+    def location(self, name: str) -> str:
+        """A declared function in words, with file and line."""
+        ...
+
+
+def call(
+    plant: Declared, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions
+) -> list[Value]:
+    """The declared function on named components; a failure inside it becomes one line with the line of the file.
+
+    Only f and mechanics take u, and `reference` takes the time alone.
+    """
+    state = () if x is None else (record("State", plant.states)(*x),)
+    named = record("Parameters", tuple(plant.parameters))(*p)
+    inputs = () if u is None else (record("Inputs", plant.inputs)(*u),)
+    function = getattr(plant.declaration, name)
+    try:
+        values = function(*state, *inputs, t, named, M)
+    except ConfigError:
+        raise
+    except Exception as error:
+        raise failure(plant, name, error) from None
+    if name in ("V", "delay"):
+        return [values]
+    # A formula that returns a bare number returns, on arrays, an array without an axis of components.
+    several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
+    return list(values) if several else [values]
+
+
+def parameters(plant: Declared) -> Parameters:
+    """The parameters' values by name."""
+    return record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
+
+
+def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
+    """A failure inside a declared function, in one line: where in the author's file, and what may have been meant."""
+    function = getattr(plant.declaration, name)
+    line = source_lines.where(error, function) or f" ({source_lines.line(function)})"
+    message = f"plant {plant.name}: {name} failed{line}: {source_lines.one_line(error)}"
+    return ConfigError(f"{message}; {_cure(plant, name, error)}")
+
+
+@cache
+def record(kind: str, names: tuple[str, ...]) -> Callable[..., Parameters]:
+    """The class of components with names, as declared functions take them: record("State", ("h",))(1.0).h."""
+    return namedtuple(kind, names)
+
+
+def _cure(plant: Declared, function: str, error: Exception) -> str:
+    signature = (SIGNATURES if plant.traced else ON_ROWS)[function]
+    if not source_lines.where(error, getattr(plant.declaration, function)):  # it was not even entered
+        return f"write def {signature}"
+    match error:
+        case AttributeError(name=name, obj=record) if (names := getattr(record, "_fields", None)) is not None:
+            return f"expected one of {', '.join(names) or 'none: none is declared'}{similar(str(name), names)}"
+        case AttributeError(name=name, obj=SimpleNamespace() as of_M):
+            return f"expected one of M's {', '.join(vars(of_M))}{similar(str(name), vars(of_M))}"
+        case NameError(name=name):
+            return _meant(str(name), plant, function, signature)
+    for words, hint in HINTS.items():
+        if words in str(error):
+            return hint.format(signature=signature)
+    ufunc = re.search(r"no callable (\w+) method", str(error))
+    return f"write M.{ufunc[1]}" if ufunc else f"fix {function}"
+
+
+def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
+    """The advice on a name that the function does not know."""
+    homes = {"p": plant.parameters} | ({"x": plant.states, "M": (*FUNCTIONS, "where", "pi")} if plant.traced else {})
+    if function in ("f", "mechanics") and plant.traced:
+        homes["u"] = plant.inputs
+    for home, names in homes.items():
+        if name in names:
+            return f"write {home}.{name}"
+    arguments = signature.partition("(")[2].rstrip(")")
+    if name in ("u", *plant.inputs) and function not in ("f", "mechanics"):
+        return f"only f knows the inputs, and kappa gives them: write {function} in {arguments}"
+    near = similar(name, [f"{home}.{each}" for home, names in homes.items() for each in names])
+    return f"expected one of {arguments}, or what the file defines{near}"

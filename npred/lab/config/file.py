@@ -1,0 +1,139 @@
+"""Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
+
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import ValidationError
+
+from npred.base.errors import ConfigError, similar
+from npred.lab.config import defaults
+from npred.lab.config.pipeline import Pipeline
+from npred.lab.config.section import Section, moved
+
+LONGEST = 2**20  # bytes of a pipeline file
+
+
+def load(path: str | Path, overrides: list[str] | None = None) -> Pipeline:
+    """The pipeline of a TOML file with `key.path=value` overrides applied.
+
+    Files that it names (a plant's, a delay law's, data) are relative to its folder; those of overrides, and of a
+    pipeline that comes through a pipe, to the current one.
+    Raises ConfigError, in one line, for a file that is missing or no TOML, an unknown key, a wrong type or value.
+    """
+    path = Path(path)
+    data = table(path)
+    for text in overrides or []:
+        override(data, text)
+    return parse(data, str(path))
+
+
+def table(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file as they stand, the files that they name found from here. Raises as `load` does."""
+    try:
+        folder = path.parent if path.is_file() else Path()
+        return moved(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
+    except FileNotFoundError:
+        raise ConfigError(defaults.missing(path)) from None
+    except (OSError, ValueError, RecursionError) as error:
+        if path.suffix == ".py":
+            raise ConfigError(defaults.of_code(path)) from None
+        raise ConfigError(f"{path}: expected a TOML file, got: {error}; write TOML, as seed = 0") from None
+
+
+def _file_text(path: Path) -> str:
+    """The text of a file, or of a pipe that somebody writes to: an abandoned one would be waited for without an end."""
+    waits = getattr(os, "O_NONBLOCK", 0)  # Windows has no pipes among its files
+    descriptor = os.open(path, os.O_RDONLY | waits)
+    with open(descriptor, "rb", buffering=0) as file:
+        first = file.read(LONGEST + 1)  # None where a pipe's writer has written nothing yet
+        if first == b"" and stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+            raise ValueError("a pipe that nobody writes to")
+        content = first or b""
+        if waits:
+            os.set_blocking(descriptor, True)
+        while chunk := file.read(LONGEST + 1 - len(content)):
+            content += chunk
+    if len(content) > LONGEST:
+        raise ValueError(f"more than {LONGEST} bytes")
+    return content.decode("utf-8")
+
+
+def parse(data: dict[str, Any], source: str) -> Pipeline:
+    """The pipeline of a plain dictionary; `source` names it in errors."""
+    try:
+        return Pipeline.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {_sentence(error)}") from None
+
+
+def override(data: dict[str, Any], text: str) -> None:
+    """Set a key of tables in place by the text key.path=value. Raises ConfigError for another one."""
+    key, sign, value_text = text.partition("=")
+    if not sign or not key:
+        raise ConfigError(f"--set: expected key.path=value, got {text!r}; for example --set train.deeponet.epochs=5")
+    put(data, key, value(value_text), "--set ")
+
+
+def value(text: str) -> Any:
+    """A value of TOML; a bare word is a string, so that --set plant=scalar needs no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
+    """Set a key of tables in place, as train.deeponet.epochs. Raises ConfigError, after `what`, for no such path."""
+    *parents, leaf = key.split(".")
+    for parent in parents:
+        data = data.setdefault(parent, {})
+        if not isinstance(data, dict):
+            raise ConfigError(f"{what}{key}: expected a table at {parent!r}, got {data!r}; check the key's path")
+    data[leaf] = value
+
+
+def _sentence(error: ValidationError) -> str:
+    """The first fault of a pipeline: its key, what pydantic says of it, and the value."""
+    first: Any = error.errors()[0]
+    loc = first["loc"] + (tuple(first["ctx"].values()) if first["type"] == "extra_forbidden" and "ctx" in first else ())
+    # without a union's types
+    path = [part for part in loc if isinstance(part, int) or (part.isidentifier() and part != "float")]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
+    if first["type"] == "extra_forbidden":
+        keys, leaf = list(_leaves()), str(loc[-1])
+        table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
+        there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
+        expected = f"; expected one of {', '.join(there)}" if there else ""
+        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
+        near = similar(leaf, there) or similar(leaf, [part for key in keys for part in key.split(".")])
+        return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
+    if first["type"] in ("fault", "missing"):
+        return f"{where}: {first['msg']}"
+    if first["type"] == "value_error":  # which begins with a key; a dataclass names itself
+        said = str(first["ctx"]["error"])
+        above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
+        return f"{above + '.' if above else ''}{said}"
+    said = dict.fromkeys(each["msg"] for each in error.errors() if each["loc"][: len(path)] == tuple(path))
+    expected, came = " or ".join(said).replace(" or Input should be", " or"), first["input"]
+    near = similar(str(came), re.findall(r"'(.*?)'", expected))
+    return f"{where}: {expected}, got {came!r}{near}"
+
+
+def _leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
+    """Every key of a pipeline file, dotted."""
+    for name, field in model.model_fields.items():
+        kinds = (field.annotation, *get_args(field.annotation))  # a table, one that may be absent, or a list of tables
+        table = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), None)
+        library = next((kind for kind in kinds if is_dataclass(kind)), None)
+        if table:
+            yield from _leaves(table, f"{path}{name}.")
+        elif library:
+            yield from (f"{path}{name}.{key.name}" for key in fields(library))
+        else:
+            yield path + name

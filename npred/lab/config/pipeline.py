@@ -1,0 +1,168 @@
+"""A pipeline file: one table per stage. Those of [generate] and [bench] are here, the longer ones in modules."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, create_model, model_validator
+
+from npred.base import registry
+from npred.base.registry import METHODS
+from npred.lab.config.evaluate import Evaluate
+from npred.lab.config.loop import Loop
+from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
+from npred.lab.config.train import Train
+from npred.lab.config.tune import Tune
+
+NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
+
+
+class Generate(Loop):
+    """Rollouts with the numerical predictor, and samples of them.
+
+    A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat0. A share `redraw` of the
+    training rows has a D_hat from explore_D_hat0, and with `spread` an X and u off the loop; the numerical predictor
+    labels them. Use `spread` if the delay is known: exact loops then follow one curve, and loops of networks leave it.
+    """
+
+    follows: ClassVar = ("D_hat0", "explore_D", "explore_D_hat0")
+
+    samples: Count = 5000  #: rows of data
+    rollouts: Count = 50  #: loops of these rows
+    D: Range | Positive = 1.0  #: true delay, or its range
+    #: ranges of D_hat(0), an equal share of rollouts each; times D
+    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
+    box: dict[str, Span] = {}  #: range of each initial state; by default the plant's
+    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: share of held-out rollouts
+    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of exploring rollouts
+    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of redrawn rows
+    #: largest distance of redrawn rows from the loop, in standard deviations of X and u
+    spread: Delay = 0.0
+    explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
+    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
+    data: str = ""  #: samples of a file as data.h5 of this stage, instead of rollouts
+
+    @property
+    def explorers(self) -> int:
+        """The number of rollouts that explore: at least two are left for training and test."""
+        return min(round(self.explore * self.rollouts), self.rollouts - 2)
+
+    @model_validator(mode="after")
+    def _check_explorers(self) -> Self:
+        if self.explore:
+            self.reached("explore_D", self.explore_D)
+        if self.explore or self.redraw:
+            self.reached("explore_D_hat0", self.explore_D_hat0)
+        return self
+
+    @model_validator(mode="after")
+    def _check_delays(self) -> Self:
+        for k, span in enumerate(self.D_hat0):
+            self.reached(f"D_hat0[{k}]", span)
+        self.reached("D", self.D if isinstance(self.D, tuple) else (self.D, self.D))
+        if self.rollouts < 2:
+            raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
+        if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
+            raise ValueError(
+                f"samples: expected 1 to t_end / dt per rollout, got {self.samples} of {self.rollouts}; change either"
+            )
+        return self
+
+
+class Bench(Section):
+    """Times and errors of predictors, as Table I of [DAPF]. Batches above 1 are timed at the first dx only."""
+
+    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
+    calls: Count = 20_000  #: timed calls of a predictor
+    seconds: Positive = 1.0  #: longest time of a predictor
+    threads: Count = 1  #: of each library
+    batches: Some[Count] = [1, 1024]  #: rows per call
+    runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
+    #: predictors in Python to compare with, `file.py:Class`; timed at batch 1
+    baselines: list[Baseline] = []
+
+
+class _Tables(Section):
+    """The plant, and one table per stage."""
+
+    name: str = "pipeline"  #: in results
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of all random numbers
+    plant: str  #: a name, or `file.py:Class`
+    parameters: dict[str, float] = {}  #: overrides of the plant's
+    #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
+    kappa: Kappa | dict[str, Any] | Literal[""] = ""
+    generate: Generate = Generate()
+    train: Train = Train()
+    evaluate: Evaluate = Evaluate()
+    bench: Bench = Bench()
+    tune: Tune | None = None  #: for `npred tune`
+
+    @model_validator(mode="after")
+    def _check_nodes(self) -> Self:
+        intervals = self.generate.nx - 1
+        for name in self.train.models:
+            nodes = self.train.table(name).nodes
+            if nodes and not self.generate.data and intervals % (nodes - 1):
+                counts = ", ".join(str(k + 1) for k in range(1, intervals + 1) if intervals % k == 0)
+                raise ValueError(
+                    f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}, got {nodes}; "
+                    f"take one of {counts}"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _check_name(self) -> Self:
+        if not NAME.fullmatch(self.name):
+            raise ValueError(
+                f"name: expected up to 100 letters, digits, . _ and -, a letter or digit first, got {self.name!r}; "
+                "files are named after it: choose another"
+            )
+        return self
+
+    def optional(self, stage: str) -> Any:
+        """The table of an optional stage, or its defaults where the pipeline has none."""
+        return getattr(self, stage) or registry.declared_stage(stage).table()
+
+    @property
+    def longest_delay(self) -> float:
+        """The longest delay or first estimate of one that the loops have, in seconds."""
+        generate, evaluate = self.generate, self.evaluate
+        spans = [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
+        spans += [generate.explore_D] if generate.explore else []
+        spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
+        spans += [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
+        return max(seconds for span in spans for seconds in span)
+
+    @property
+    def files(self) -> list[str]:
+        """The names of the user's files that it takes: of a plant, of parts, of data."""
+        paths: dict[str, None] = {}
+
+        def collect(path: str) -> str:
+            paths[registry.split(path)[0].name if registry.in_file(path) else Path(path).name] = None
+            return path
+
+        self.moved(collect)
+        return list(paths)
+
+    @property
+    def methods(self) -> list[str]:
+        """The numerical methods to compare: those that have a name, and those of files that it takes."""
+        return list(dict.fromkeys([*METHODS.names(), self.generate.predictor, self.evaluate.predictor]))
+
+    def beside(self) -> Self:
+        """The same with each of its `files` in the current folder: so the same wherever they lie."""
+        return self.moved(lambda path: Path(path).name)
+
+    def located(self) -> Self:
+        """The same for a process elsewhere, where a relative path would be another file."""
+        return self.moved(lambda path: str(Path(path).absolute()))
+
+
+if TYPE_CHECKING:
+    Pipeline = _Tables
+else:  # with a table of each optional stage, where that declares it
+    _optional = Field(None, description="`npred run` also runs this stage")
+    _stages = filter(lambda stage: stage.optional, map(registry.declared_stage, registry.STAGES))
+    _fields = {stage.name: (stage.table | None, _optional) for stage in _stages}
+    Pipeline = create_model("Pipeline", __base__=_Tables, __doc__=_Tables.__doc__, __module__=__name__, **_fields)

@@ -1,0 +1,168 @@
+"""The result of the stage evaluate."""
+
+from typing import Annotated
+
+from pydantic import AliasChoices, Field
+
+from npred.lab.config.results.base import Number, Result
+from npred.lab.config.results.predictor_id import RANKED, Name
+
+
+class Relative(Result):
+    """The largest error over x, divided by the distance from rest."""
+
+    sup: Number  #: the largest over the samples
+    median: Number  #: the median over the samples
+
+
+class Errors(Result):
+    """Errors against the numerical predictor; all are 0 for `numerical` and `no_adaptation`."""
+
+    mse: Number  #: mean square of P̂ − P
+    eps_sup: Number  #: largest |P̂ − P|
+    eps_kappa: Number  #: largest |κ(P̂(1)) − κ(P(1))|
+    rel_l2: Number  #: mean of ‖P̂ − P‖ / ‖P‖
+    mse_by_state: dict[str, Number] = {}  #: `mse` of each state; networks only
+    sup_by_state: dict[str, Number] = {}  #: `eps_sup` of each state; networks only
+    #: relative errors; only networks, and plants with an equilibrium
+    eps_relative: Relative | None = None
+
+
+class KindErrors(Errors):
+    """Errors on the held-out rows of one kind."""
+
+    above: Number  #: share of the rows with an error above `eps_sup` of the kind `held_out_kind`
+
+
+class Radii(Result):
+    """The largest distance from rest, or from the reference, over the last tenth of the loops."""
+
+    median: Number  #: over the cases
+    worst: Number  #: over the cases
+    converged: float  #: share of the cases
+    cases: int  #: how many
+
+    @property
+    def count(self) -> int:
+        """The number of cases that converge."""
+        return round(self.converged * self.cases)
+
+
+class Radius(Radii):
+    """The largest distance from rest, or from the reference, over the last tenth of the loops."""
+
+    predicted: Number  #: `gain` times `eps_kappa`
+
+
+class Limits(Result):
+    """How loops keep what the plant declares by `safe`, over the cases."""
+
+    least: float | None  #: the smallest h at the kept times; `null` where a loop leaves the finite numbers
+    filtered: float | None  #: share of the control steps in which the safety filter changed U; `null` without one
+    unkept: int | None  #: number of steps in which the bounds of U left no way to keep the limits, likewise
+
+
+class DelayMap(Result):
+    """The loops that converge, by true delay and first estimate."""
+
+    D: list[float]  #: true delays, in seconds
+    D_hat0: list[float]  #: first estimates, in seconds
+    converged: list[list[bool]]  #: one row per D
+    share: float  #: of the numerical predictor's converging loops
+    band: tuple[float, float] | None  #: range of D without a lost loop; `null` for none
+
+
+class LoopEnd(Result):
+    """The end of the loop of Fig. 1."""
+
+    X_end: list[Number]  #: the state
+    D_hat_end: Number  #: the delay estimate
+    radius: Number  #: the largest distance over the last tenth
+    settle_time: Number  #: in seconds
+
+
+class Scores(Errors):
+    """One predictor. Its errors are on held-out rows of the kind `held_out_kind`."""
+
+    kinds: dict[str, KindErrors]  #: errors by kind of held-out row
+    fresh: Errors  #: the same errors on the fresh samples
+    #: the largest |P(1, t) − X(t + D)| with D̂ = D ([accuracy](../accuracy.md#the-error-in-the-loop)); `null` if a
+    #: loop is lost
+    in_loop: Number
+    radius: Radius  #: over the cases
+    settle_time: Number  #: the median over the cases, in seconds
+    settle_ratio: float | None  #: `settle_time` over the numerical predictor's, median
+    decay_rate: float | None  #: the median decay rate near rest, in 1/s; `null` without decay
+    map: DelayMap | None  #: convergence by D and D̂(0); `null` without a map
+    figure1: LoopEnd  #: the loop of Fig. 1
+    figure1_bounded: LoopEnd | None = None  #: the same with U within `figure_bounds`; `null` without them
+    #: share of its loops' steps with a numerical answer; `null` without a guard
+    fallback: float | None = None
+    limits: Limits | None = None  #: of a plant that declares `safe`
+
+
+class KindSize(Result):
+    """Held-out rows of one kind."""
+
+    rows: int  #: how many
+
+
+class InLoop(Result):
+    """The loops of the errors in the loop."""
+
+    #: the delay, in seconds; `null` if the plant declares its delay
+    D: float | None
+    #: first time, in seconds; `null` if it differs by loop
+    start: float | None = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
+    to: float  #: last time
+    loops: int  #: how many
+
+
+class Coverage(Result):
+    """One state, input, or `D_hat`."""
+
+    data: tuple[float, float]  #: range in the data
+    outside: dict[Name, Number]  #: by network, share of loop steps outside this range
+
+
+class Behaviour(Result):
+    """The loops of one predictor in a scenario."""
+
+    radius: Radii  #: over the cases
+    settle_time: Number  #: the median over the cases, in seconds
+    #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
+    #: that radii are relative to
+    lost: int
+    overtaking: int = 0  #: of these, loops whose commands overtake each other
+    #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` without an estimate
+    D_error: float | None
+    #: share of the steps with a numerical answer; `null` without a guard
+    fallback: float | None = None
+    limits: Limits | None = None  #: of a plant that declares `safe`
+
+
+class Conditions(Result):
+    """One scenario of the pipeline."""
+
+    name: str  #: as the pipeline calls it
+    models: Annotated[dict[Name, Behaviour], RANKED]  #: the numerical predictor and each network
+
+
+class Evaluated(Result):
+    """Errors on held-out samples, and closed loops.
+
+    NAME is `numerical`, `no_adaptation`, a network such as `deeponet`, or a snapshot such as `deeponet@20`.
+    """
+
+    plant: str  #: its name
+    equilibrium: list[float] | None  #: one number per state; `null` if the plant tracks
+    gain: Number  #: distance that a constant error of 1 in U moves the loop
+    held_out: int  #: number of held-out samples
+    held_out_kind: str  #: kind of row of the errors of `models`: `nominal`, or `imported`
+    #: by kind of held-out row: `nominal`, `exploring`, `redrawn`, or `imported`
+    kinds: dict[str, KindSize]
+    fresh: int  #: number of samples of new rollouts
+    in_loop: InLoop  #: the loops of the errors in the loop
+    models: Annotated[dict[Name, Scores], RANKED]  #: by NAME
+    coverage: dict[str, Coverage]  #: by state, input and `D_hat`
+    scenarios: list[Conditions] = []  #: the loops under other conditions

@@ -1,0 +1,89 @@
+"""A table of the pipeline file, and the types of its keys."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from functools import partial
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
+
+from npred.base import registry
+from npred.base.registry import BASELINES, DELAY_LAWS, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
+
+MOST = 2**53  # of anything that is counted
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+Delay = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Count = Annotated[int, Field(ge=1, le=MOST, strict=True)]
+Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
+Item = TypeVar("Item")
+Some = Annotated[list[Item], Field(min_length=1)]
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+PerState = Delay | list[Delay]
+Bias = Number | list[Number]
+Anchor = Literal["none", "initial", "equilibrium"]
+Actuator = Literal["measured", "history"]
+Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
+Half = Annotated[float, Field(ge=0, lt=0.5, strict=True)]
+PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
+
+
+def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
+    if fault := parts.fault(name, *others):
+        raise PydanticCustomError("fault", "{fault}", {"fault": fault})
+    return name
+
+
+def _ordered(span: tuple[float, float]) -> tuple[float, float]:
+    if not span[0] <= span[1]:
+        fault = f"expected [low, high] with low <= high, got {list(span)}; swap them"
+        raise PydanticCustomError("fault", "{fault}", {"fault": fault})
+    return span
+
+
+ORDERED = AfterValidator(_ordered)
+Range = Annotated[tuple[Delay, Delay], ORDERED]
+Span = Annotated[tuple[Number, Number], ORDERED]
+Bounds = Annotated[tuple[float, float], ORDERED]  # also infinite
+Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
+Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
+Observes = Annotated[str, AfterValidator(partial(_part, OBSERVERS, ())), OBSERVERS]
+Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
+Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
+Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
+Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
+
+
+def built(kind: type) -> BeforeValidator:
+    """A validator that makes a dataclass of the library from a table; it checks its values itself."""
+
+    def build(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        for key in value.keys() - {field.name for field in fields(kind)}:
+            raise PydanticCustomError("extra_forbidden", "{key}", {"key": key})
+        return kind(**value)
+
+    return BeforeValidator(build)
+
+
+class Section(BaseModel):
+    """A table of the pipeline file: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
+
+    def moved(self, locate: Callable[[str], str]) -> Self:
+        """The same with `locate(path)` in each value that names a class of a file, or data."""
+        return self.model_copy(update={key: moved(value, locate, key) for key, value in self})
+
+
+def moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
+    """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
+    if isinstance(value, Section):
+        return value.moved(locate)
+    if isinstance(value, dict):
+        return {name: moved(item, locate, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [moved(item, locate) for item in value]
+    is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
+    return locate(value) if is_path else value

@@ -1,0 +1,1 @@
+"""Every figure and table, once, and what a terminal shows."""

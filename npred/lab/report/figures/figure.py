@@ -1,0 +1,160 @@
+"""A figure as data: panels, each a function that draws on any axes.
+
+A page shows each panel by itself, as SVG in the colours of the page; a file for a paper has all panels and the legend.
+"""
+
+import io
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from npred.lab.config.results import PredictorId
+from npred.lab.report.figures.notation import SUBSCRIPT, plain
+from npred.lab.report.figures.style import (
+    HANDLE,
+    MEDIA,
+    ROLES,
+    SCREEN,
+    Axes,
+    LineStyle,
+    Style,
+    lettered,
+    line_of,
+    medium,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
+
+FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
+DPI = 300
+LETTER, GAP = 0.47, 2.3  # widths of an M: a letter of a legend, and the room around an entry
+COLOURS = {light: role for role, (light, _) in ROLES.items()}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes: its title says what is drawn upwards, `alt` says in words what can be seen."""
+
+    title: str
+    alt: str
+    draw: Callable[[Axes], None]
+
+
+@dataclass(frozen=True)
+class LegendEntry:
+    """An entry of a legend."""
+
+    label: str
+    style: LineStyle
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of several panels with one legend; `name` is its file's, `caption` says what to see in it."""
+
+    name: str
+    title: str
+    caption: str
+    panels: Sequence[Panel]
+    legend: Sequence[LegendEntry] = ()
+
+
+def legend(predictors: Sequence[PredictorId]) -> list[LegendEntry]:
+    """An entry for each predictor."""
+    return [LegendEntry(predictor.label, line_of(predictor)) for predictor in predictors]
+
+
+def write(figure: Figure, folder: Path, style: Style = MEDIA["ieee2"], formats: Sequence[str] = ("svg", "png")) -> None:
+    """The figure as name.svg, name.pdf, name.png: the same bytes for the same data."""
+    from matplotlib.lines import Line2D
+    from matplotlib.text import Text
+
+    columns = min(style.columns, len(figure.panels))
+    rows = -(-len(figure.panels) // columns)
+    with medium(style):
+        canvas = _canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + 0.04 * style.font)
+        axes = np.ravel(canvas.subplots(rows, columns, squeeze=False))
+        for panel, axis in zip(figure.panels, axes, strict=False):
+            panel.draw(axis)
+            axis.set_title(panel.title)
+        for axis in axes[len(figure.panels) :]:
+            axis.set_visible(False)
+        if figure.legend:
+            lines = [Line2D([], [], label=entry.label, **entry.style.line) for entry in figure.legend]
+            canvas.legend(handles=lines, loc="outside upper center", ncols=_legend_columns(figure.legend, style))
+        for text in canvas.findobj(Text):
+            text.set_text(lettered(text.get_text()))
+        for line in canvas.findobj(Line2D):  # as thick beside the letters as on a page
+            line.set_linewidth(style.font / SCREEN.font * line.get_linewidth())
+        canvas.draw_without_rendering()  # lays it out, which takes longest: once for all formats
+        canvas.set_layout_engine(None)
+        for form in formats:
+            path = folder / f"{figure.name}.{form}"
+            canvas.savefig(path, metadata=FORMATS[form], dpi=DPI, facecolor="white", format=form)
+
+
+def _canvas(width: float, height: float) -> "Canvas":
+    """An empty matplotlib figure of that many inches, free of pyplot's global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Canvas
+
+    canvas = Canvas(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(canvas)
+    return canvas
+
+
+def _legend_columns(entries: Sequence[LegendEntry], style: Style) -> int:
+    """As many columns as fit beside each other; the entries are filled in column by column."""
+    room = style.width * 72 / style.font
+    for count in range(len(entries), 1, -1):
+        columns = np.array_split([LETTER * len(entry.label) for entry in entries], count)
+        if sum(column.max() + HANDLE + GAP for column in columns) < room:
+            return count
+    return 1
+
+
+def inline(panel: Panel, prefix: str) -> str:
+    """The panel as an <svg> element of a page: its colours are CSS variables, its text is text, and it is described.
+
+    `prefix` makes its identifiers unique on the page.
+    """
+    buffer = io.StringIO()
+    with medium(SCREEN):
+        canvas = _canvas(SCREEN.width, SCREEN.height)
+        panel.draw(canvas.subplots())  # without its title: the page says it, in its type
+        canvas.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    drawn = buffer.getvalue()
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", drawn[drawn.index("<svg") :], flags=re.DOTALL)
+    used = set(re.findall(r'(?:href="|url\()#([^")]+)', svg))
+    svg = re.sub(r' id="([^"]*)"', lambda name: f' id="{prefix}-{name[1]}"' if name[1] in used else "", svg)
+    svg = re.sub(r'(?:xlink:)?(href="|url\()#', rf"\1#{prefix}-", svg)
+    svg = re.sub(r"'DejaVu Sans'[^;\"]*", "inherit", svg)
+    svg = re.sub("|".join(COLOURS), lambda colour: f"var(--{COLOURS[colour[0]]})", svg)
+    svg = re.sub(r'(?<= )(?:d|points|transform|x|y)="[^"]*"', _with_shorter_numbers, svg)
+    svg = re.sub(r"(<text[^>]*>)([^<]*)", lambda text: text[1] + _lowered(text[2]), svg)
+    words = {name: f'<{name} id="{prefix}-{name}">{escape(plain(text))}</{name}>'
+             for name, text in (("title", panel.title), ("desc", panel.alt))}  # fmt: skip
+    head, body = svg.split(">", 1)
+    head = re.sub(r' (?:width|height|version|xmlns:xlink)="[^"]*"', "", head)  # the page gives it its size
+    head += f' role="img" aria-labelledby="{prefix}-title {prefix}-desc"'
+    return f"{head}>{words['title']}{words['desc']}{body}".strip()
+
+
+def _with_shorter_numbers(attribute: re.Match[str]) -> str:
+    return re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
+
+
+def _lowered(text: str) -> str:
+    """The subscripts of a text as spans below the line; what follows one comes back up."""
+    first, *parts = SUBSCRIPT.split(text)
+    spans = ""
+    for below, after in zip(parts[::2], parts[1::2], strict=True):
+        spans += f'<tspan font-size="72%" dy=".35em">{below}</tspan>'
+        spans += f'<tspan dy="-.252em">{after}</tspan>' if after else ""
+    return first + spans

@@ -1,0 +1,212 @@
+"""The console: data on stdout, messages on stderr, no bars where stderr is no terminal."""
+
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from npred.base.json_files import escaped
+from npred.base.progress import counted
+from npred.lab.report.terminal import interruption, streams
+from npred.lab.report.terminal.run_log import Events, RunLog
+
+if TYPE_CHECKING:
+    from npred.lab.report.terminal.live_view import LiveView
+
+EVERY = 10.0  # seconds between two lines of a bar
+UNFOLDED = 10**6  # columns of a table for a file or a pipe
+
+
+@dataclass
+class Console:
+    """quiet: warnings and errors only. verbose: more notes, tracebacks."""
+
+    quiet: bool = False
+    verbose: bool = False
+    clock: Callable[[], float] = time.monotonic
+    stopped: bool = False
+    view: "LiveView | None" = None
+    events: Events | None = None
+    log: RunLog | None = None
+
+    def stop(self) -> None:
+        """End the work of all threads at its next report of progress, as Ctrl-C ends that of the main one."""
+        self.stopped = True
+
+    @property
+    def width(self) -> int | None:
+        """The columns of the screen that stdout is; None for a file or a pipe, where nothing is folded."""
+        return streams.width(sys.stdout)
+
+    def out(self, text: str) -> None:
+        """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
+        streams.answer(streams.folded(streams.printable(text), self.width))
+
+    def json(self, document: object) -> None:
+        """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
+        text = json.dumps(document, indent=2, ensure_ascii=not streams.is_utf8(sys.stdout), allow_nan=False)
+        streams.answer("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
+
+    def note(self, text: str) -> None:
+        """A message, unless quiet."""
+        self._line(text, shown=not self.quiet)
+
+    def wait(self, text: str) -> None:
+        """A message that work takes long, unless the live view is there, which shows that work goes on."""
+        self._line(text, shown=not self.quiet and not self.view)
+
+    def detail(self, text: str) -> None:
+        """A message for those who asked for more, and for the log."""
+        self._line(text, shown=self.verbose)
+
+    def warn(self, text: str) -> None:
+        """A warning."""
+        self._line(f"warning: {text}", "yellow")
+
+    def error(self, text: str) -> None:
+        """A failure, in one line."""
+        self._line("error: " + " ".join(text.split("\n")), "red")
+
+    def keep_log(self, store: Path, name: str) -> None:
+        """From now on also write all messages, and each epoch of a training, to a file in the store's folder."""
+        self.log = self.log or RunLog.open(store, name)
+        self._logged(f"npred {' '.join(sys.argv[1:])}  (in {Path.cwd()})")
+
+    def close(self) -> None:
+        """The end of the log."""
+        if self.log:
+            self.log.close()
+            self.log = None
+
+    @contextmanager
+    def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
+        """On a terminal a live view of these stages while the block runs; elsewhere nothing but the lines of `bar`."""
+        if self.quiet or not (streams.MESSAGES.isatty() and streams.is_utf8(streams.MESSAGES)):
+            yield
+            return
+        from npred.lab.report.terminal.live_view import LiveView
+
+        self.view = LiveView(heading, titles, self.clock)
+        try:
+            with self.view:
+                yield
+        finally:
+            self.view = None
+
+    def head(self, heading: str) -> None:
+        """Another heading for the live view."""
+        if self.view:
+            self.view.heading = heading
+
+    def doing(self, title: str, what: str) -> None:
+        """A stage begins, or does something else now: importing, compiling, drawing."""
+        if self.view:
+            self.view.doing(title, what)
+            self._logged(f"{title}: {what}")
+        else:
+            self.detail(f"{title}: {what}")
+
+    def finish(self, title: str, action: str, seconds: float) -> None:
+        """A stage has its result, `hit` or `run`, or none: `stopped`."""
+        if self.view:
+            self.view.finish(title, action)
+        outcome = {"hit": "from the store", "run": "done"}.get(action, action)
+        self._line(f"{title}: {outcome} after {seconds:.1f} s", shown=self.verbose and not self.view)
+
+    def measured(self, title: str, values: Mapping[str, float]) -> None:
+        """Take the metrics of an epoch of a training: for TensorBoard and for the log."""
+        if self.events:
+            self.events.write(title, values)
+        self._logged(f"{title}: " + ", ".join(f"{name} {value:.4g}" for name, value in values.items()))
+
+    @contextmanager
+    def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Bar"]:
+        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
+        and then. `done` of them were there before.
+        """
+        with ExitStack() as stack:
+            if not self.view:
+                stack.enter_context(self.watch("", []))
+            shown = stack.enter_context(self.view.bar(title, total, done)) if self.view else None
+            line = self._logged if self.view or self.quiet else self._line
+            yield Bar(self, title, total, unit, done, line, shown)
+
+    def _logged(self, text: str) -> None:
+        if self.log:
+            self.log.write(text)
+
+    def _line(self, text: str, style: str = "", shown: bool = True) -> None:
+        self._logged(text)
+        if not shown:
+            return
+        text = streams.folded(streams.printable(text), streams.width(streams.MESSAGES))
+        if not self.view and not (style and streams.MESSAGES.isatty()):
+            streams.MESSAGES.write(text + "\n")  # in one piece: networks that train side by side speak side by side
+            streams.MESSAGES.flush()
+            return
+        from rich.console import Console as Rich
+
+        screen = self.view.console if self.view else Rich(file=streams.MESSAGES)
+        screen.print(text, style=style, markup=False, emoji=False, highlight=False, soft_wrap=True)
+
+
+class Bar:
+    """`total` units of work; `done` of them were there before, and took no time of this run.
+
+    `line` gets a text every EVERY seconds and one at the end; `shown` the units of each advance, and words for them.
+    """
+
+    def __init__(
+        self, console: Console, title: str, total: int, unit: str, done: int, line: Callable[[str], None],
+        shown: Callable[[int, str], None] | None,
+    ) -> None:  # fmt: skip
+        self.console, self.title, self.total, self.unit = console, title, total, unit
+        self.line, self.shown, self.lock = line, shown, threading.Lock()
+        self.before, self.done, self.note = done, done, ""
+        self.start = self.last = console.clock()
+
+    def advance(self, n: int = 1, note: str = "") -> None:
+        """n units more are done; the note (a loss, say) replaces the last one. Raises KeyboardInterrupt to end it."""
+        interruption.check()
+        if self.console.stopped:
+            raise KeyboardInterrupt
+        with self.lock:
+            self.done, self.note, now = self.done + n, note or self.note, self.console.clock()
+            count, noted = f"{self.done}/{counted(self.total, self.unit)}", self.note and f", {self.note}"
+            if n and self.shown:
+                self.shown(n, count + noted)
+            here, finished = self.done - self.before, self.done >= self.total
+            if (n > 0 and finished) or (here > 0 and now - self.last >= EVERY):
+                self.last, elapsed = now, now - self.start
+                left = "" if finished else f", {elapsed / here * (self.total - self.done):.0f} s left"
+                self.line(f"{self.title}: {count} in {elapsed:.1f} s{left}{noted}")
+
+
+def columns(
+    header: Sequence[str], rows: Sequence[Sequence[str]], width: int | None = None, numbers: Collection[str] = ()
+) -> str:
+    """An aligned table that is never cut; the columns of `numbers` are aligned at their right.
+
+    One row per line, so that grep and awk can read it, or, with a `width`, the widest columns folded until it fits.
+    """
+    from rich.console import Console as Rich
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
+    room = (width or UNFOLDED) // max(len(header), 1) - 2  # of each column, if all were alike
+    for cells in zip(header, *rows, strict=True):
+        justify: Literal["left", "right"] = "right" if cells[0] in numbers else "left"
+        whole = max(map(len, cells)) <= room  # a column of keys is not broken for one of sentences
+        table.add_column(Text(escaped(cells[0])), justify=justify, overflow="fold", no_wrap=whole)
+    for row in rows:
+        table.add_row(*(Text(escaped(cell)) for cell in row))
+    page = StringIO()
+    Rich(file=page, width=width or UNFOLDED, color_system=None, force_terminal=False, force_jupyter=False).print(table)
+    return "\n".join(line.rstrip() for line in page.getvalue().splitlines())

@@ -1,0 +1,161 @@
+"""The live view of a run: each stage, what it does, for how long and how far.
+
+A terminal rewrites it; in a notebook it is one output below the cell, which is updated in place and stays as it ends.
+"""
+
+import math
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from io import StringIO
+from typing import Any
+
+from rich.console import Console as RichConsole
+from rich.console import RenderableType
+from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.text import Text
+
+from npred.base.json_files import escaped
+from npred.lab.report.terminal.console import Console
+from npred.lab.report.terminal.streams import MESSAGES, printable
+
+MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
+SECONDS = 0.5  # between two updates in a notebook
+WIDTH = 110  # columns there
+FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
+
+
+class RunningBar(BarColumn):
+    """The bar of a stage that counts its units, and of no other."""
+
+    def render(self, task: Task) -> RenderableType:  # type: ignore[override]
+        """The bar, or nothing."""
+        return super().render(task) if task.total else Text("")
+
+
+class LiveView(Progress):
+    """A table of the stages that rewrites itself; safe to call from several threads."""
+
+    def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
+        self.heading, self.stages, self.adding = heading, dict[str, Task](), threading.Lock()
+        mark, doing = TextColumn("{task.fields[mark]}"), TextColumn("{task.fields[doing]}", markup=False)
+        name, running = TextColumn("{task.description}", markup=False), RunningBar(bar_width=24)
+        columns = [mark, name, running, doing, TimeElapsedColumn(), TimeRemainingColumn()]
+        super().__init__(
+            *columns, console=RichConsole(file=MESSAGES), get_time=clock, speed_estimate_period=math.inf,
+            redirect_stdout=False, redirect_stderr=False,
+        )  # fmt: skip
+        for title in titles:
+            self._task(title)
+
+    def doing(self, title: str, what: str) -> None:
+        """A stage begins, or does something else now."""
+        self.update(self._running(title).id, doing=escaped(what))
+
+    @contextmanager
+    def bar(self, title: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
+        """The progress of a stage, or of a part, which gets a separate row; it yields a function of the units that are
+        done, and of words for them.
+        """
+        is_part = title not in self.stages
+        task = self._running(title)
+        with self._lock:  # rich would count what was there before as done now
+            task.total, task.completed = total, done
+            task._reset()
+        yield lambda n, words: self.update(task.id, advance=n, doing=escaped(words))
+        with self._lock:
+            task.total = task.finished_time = None
+        if is_part:
+            self.finish(title, "run", task.fields["doing"])
+
+    def finish(self, title: str, state: str, doing: str = "") -> None:
+        """A stage has its result, `hit` or `run`, or none: `stopped`."""
+        task = self._task(title)
+        words = {"hit": "from the store", "stopped": "stopped"}.get(state, doing)
+        with self._lock:
+            task.total = task.finished_time = None
+        self.stop_task(task.id)
+        self.update(task.id, mark=MARKS[state], doing=words)
+
+    def stop(self) -> None:
+        """The end: the last state stays on the screen."""
+        self.end()
+        super().stop()
+
+    def end(self) -> None:
+        """Nothing follows: work that still runs was stopped, or failed."""
+        for title, task in list(self.stages.items()):  # a thread may still add one
+            if task.fields["mark"] == MARKS["running"]:
+                self.finish(title, "stopped")
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        """The heading and the table."""
+        if self.heading:
+            yield Text(escaped(self.heading), "bold")
+        yield self.make_tasks_table(self.tasks)
+
+    def _task(self, title: str) -> Task:
+        with self.adding:  # not rich's lock, which drawing takes: adding a task draws
+            if title not in self.stages:
+                added = self.add_task(escaped(title), start=False, total=None, mark=MARKS["waiting"], doing="")
+                self.stages[title] = self._tasks[added]
+            return self.stages[title]
+
+    def _running(self, title: str) -> Task:
+        """The task of that title, which runs from now on if it did not before."""
+        task = self._task(title)
+        if task.fields["mark"] != MARKS["running"]:
+            with self._lock:
+                task.start_time, task.stop_time = self.get_time(), None
+            self.update(task.id, mark=MARKS["running"])
+        return task
+
+
+def is_notebook() -> bool:
+    """True where the code runs in a notebook's kernel."""
+    ipython = sys.modules.get("IPython")
+    shell = ipython.get_ipython() if ipython else None
+    return getattr(shell, "kernel", None) is not None
+
+
+class NotebookConsole(Console):
+    """A console whose live view is an output of a notebook. Its notes are what the view shows; warnings stand below."""
+
+    @contextmanager
+    def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
+        """A live view of these stages while the block runs, its last state after it."""
+        from IPython.display import display  # pyright: ignore[reportMissingImports]
+
+        view = self.view = LiveView(heading, titles, self.clock)
+        output: Any = display(_bundle(view), raw=True, display_id=True)
+        over = threading.Event()
+
+        def paint() -> None:
+            while not over.wait(SECONDS):
+                output.update(_bundle(view), raw=True)
+
+        painter = threading.Thread(target=paint, daemon=True)
+        painter.start()
+        try:
+            yield
+        finally:
+            over.set()
+            painter.join()
+            view.end()
+            output.update(_bundle(view), raw=True)
+            self.view = None
+
+    def _line(self, text: str, style: str = "", shown: bool = True) -> None:
+        self._logged(text)
+        if style:
+            MESSAGES.write(printable(text) + "\n")
+            MESSAGES.flush()
+
+
+def _bundle(view: LiveView) -> dict[str, str]:
+    """The view as HTML and as text, as a notebook's file keeps it."""
+    page = RichConsole(file=StringIO(), record=True, width=WIDTH, force_jupyter=False, force_terminal=True)
+    page.print(view.get_renderable())
+    text = page.export_text(clear=False)
+    return {"text/plain": text.rstrip(), "text/html": page.export_html(code_format=FORMAT, inline_styles=True)}

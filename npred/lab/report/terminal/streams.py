@@ -1,0 +1,122 @@
+"""The streams that people read: what may go there, in which encoding, and what becomes of one that is closed or full.
+
+All of npred's words on stdout and stderr pass through here, so that no text of a result, a plant or an error moves the
+cursor, turns the direction of writing or hides behind characters without a width.
+"""
+
+import os
+import shutil
+import sys
+import textwrap
+from contextlib import suppress
+from functools import partial
+from io import TextIOWrapper
+from typing import TextIO, cast
+
+from npred.base.errors import NpredError
+from npred.base.json_files import escaped
+
+
+def printable(text: str) -> str:
+    """The text with all that a terminal obeys or hides spelt out, but for its line ends."""
+    return "\n".join(escaped(line) for line in text.split("\n"))
+
+
+def is_utf8(stream: TextIO) -> bool:
+    """True if a stream takes any character; one without an encoding, in memory, does."""
+    return (getattr(stream, "encoding", None) or "utf-8").lower().replace("-", "") == "utf8"
+
+
+def is_terminal(stream: TextIO | None) -> bool:
+    """True if a stream is a screen; one that is closed is none."""
+    try:
+        return stream is not None and stream.isatty()
+    except (OSError, ValueError):
+        return False
+
+
+def width(stream: TextIO | None) -> int | None:
+    """The columns of the screen that a stream is, or None where it is none: nothing is folded for a file or a pipe."""
+    return shutil.get_terminal_size().columns if is_terminal(stream) else None
+
+
+def folded(text: str, limit: int | None) -> str:
+    """The text with lines of more than `limit` columns broken between words; a path stays whole, to be copied."""
+    if limit is None:
+        return text
+    fill = partial(textwrap.fill, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
+    return "\n".join(fill(line, limit) for line in text.split("\n"))
+
+
+def answer(text: str) -> None:
+    """The text and a line end on stdout, at once.
+
+    Raises NpredError where stdout is closed or full, BrokenPipeError where its reader has left, as `head` does.
+    """
+    if sys.stdout is None:
+        raise unwritable("a closed one")
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        silence(sys.stdout)
+        raise
+    except OSError as error:
+        silence(sys.stdout)
+        raise unwritable(error.strerror) from None
+    except ValueError:  # of a closed file
+        raise unwritable("a closed one") from None
+
+
+def unwritable(reason: str | None) -> NpredError:
+    """The failure of a stdout that takes nothing."""
+    todo = "the results are in the store, send stdout elsewhere"
+    return NpredError(f"stdout: expected a stream that takes the answer, got {reason}; {todo}")
+
+
+def silence(stream: TextIO) -> None:
+    """Send what a stream still holds to nowhere: Python would fail to write it when it ends."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+
+
+def prepare() -> None:
+    """Spell out the characters that the encoding of a stream lacks, as \\u03b5; a closed stderr takes all, unseen."""
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+class Messages:
+    """stderr as rich and `Console` write to it: one that is closed or full loses words, and no work."""
+
+    @property
+    def encoding(self) -> str:
+        """That of stderr."""
+        return getattr(sys.stderr, "encoding", None) or "utf-8"
+
+    def write(self, text: str) -> int:
+        """Write what can be written."""
+        try:
+            sys.stderr.write(text)
+        except (OSError, ValueError):
+            silence(sys.stderr)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush what can be flushed."""
+        try:
+            sys.stderr.flush()
+        except (OSError, ValueError):
+            silence(sys.stderr)
+
+    def isatty(self) -> bool:
+        """True if it is a screen."""
+        return is_terminal(sys.stderr)
+
+
+MESSAGES = cast(TextIO, Messages())

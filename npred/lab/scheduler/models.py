@@ -1,0 +1,138 @@
+"""Trained models and data by name: `pipeline/paper.toml:deeponet@107` to verified files of the store."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from npred import networks as runtimes
+from npred import plants
+from npred.base import devices, progress
+from npred.base.errors import ConfigError, unlisted
+from npred.lab import config
+from npred.lab.config import Training, defaults
+from npred.lab.config.results import PredictorId
+from npred.lab.scheduler.configuration import identity
+from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.store import Artifact, Store
+from npred.lab.training import operators
+from npred.plants import Plant
+from npred.prediction.methods import Predictor
+
+
+class Stored(NamedTuple):
+    """A trained model: folder, network, the epoch of a snapshot (None: the final weights), the plant, and the table of
+    the pipeline that names it.
+    """
+
+    folder: Path
+    model: str
+    snapshot: int | None
+    plant: Plant
+    config: Training | None
+
+
+def load(
+    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str | None = None
+) -> Predictor:
+    """A trained model as a predictor.
+
+    The compiled function is made at its first use in a loop or controller and kept on the disk. On a GPU, and for a
+    network of yours, torch does all. Files are verified against their digests. The plant is the pipeline's, or, for an
+    artifact, the built-in one of that name: a plant's file is code and is run only when a pipeline names it.
+
+    Raises ConfigError for a model or a runtime that is not there; StoreError for corrupt results; MissingError for a
+    device or an extra that this machine lacks.
+    """
+    if not isinstance(model, str | Path):
+        raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
+    device = devices.resolve(device)
+    devices.require(device)
+    return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
+
+
+def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predictor:
+    """A trained model of the store as a predictor; see `load`."""
+    with progress.announce(f"loading network {stored.model}", often="once per process"):
+        precision = np.float64 if runtime in (None, "torch") else np.float32
+        operator = operators.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
+        return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
+
+
+def load_model(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Stored:
+    """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
+
+    Each may end in `@EPOCH`, for a snapshot; `overrides` of the pipeline are as for config.load.
+    Raises ConfigError where there is none, StoreError for corrupt files.
+    """
+    store = Store(root or defaults.store())
+    try:
+        asked = PredictorId.parse(spec)
+    except ValueError as error:
+        raise ConfigError(f"{spec}: {error}") from None
+    path, colon, name = asked.model.rpartition(":")
+    if not colon and (name.endswith(".toml") or name in defaults.shipped()) and name not in config.Train().names:
+        raise ConfigError(f"{spec}: expected PIPELINE:MODEL, got no model; write {spec}:deeponet, say")
+    if colon or _of_default(name):
+        file = defaults.pipeline(path)
+        pipeline = config.load(file, overrides)
+        if name not in (names := pipeline.train.names):
+            raise ConfigError(unlisted(f"{spec}: after the colon", name, names))
+        expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
+        artifact = _last(pipeline, store, "train", name, expected, todo)
+        plant, table = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa), pipeline.train.table(name)
+    else:
+        artifact, plant, table = store.find(name), None, None
+    manifest, epoch = artifact.verify().manifest, asked.epoch
+    if (model := manifest.question.model) is None:
+        raise ConfigError(f"{spec}: expected a trained model, got {artifact.name}; see npred ls")
+    if epoch is not None and f"snapshot-{epoch}.safetensors" not in manifest.files:
+        raise ConfigError(f"{spec}: expected a snapshot of epoch {epoch}, got none; add it to train.{model}.snapshots")
+    return Stored(artifact.folder, model, epoch, plant or _named(artifact, spec), table)
+
+
+def _of_default(name: str) -> bool:
+    """True if a name is that of a network: a built-in one, or one of the default pipeline."""
+    if name in config.Train().names:
+        return True
+    try:
+        return name.isidentifier() and name in config.load(defaults.pipeline("")).train.named
+    except ConfigError:
+        return False
+
+
+def load_data(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Artifact:
+    """The data meant by `PIPELINE`, an artifact's folder or key, or `generate` for the latest; verified.
+
+    Raises ConfigError where there is none, StoreError for corrupt files.
+    """
+    store = Store(root or defaults.store())
+    if not spec.endswith(".toml") and spec not in defaults.shipped():
+        artifact = store.find(spec).verify()
+        if artifact.manifest.question.stage != "generate":
+            raise ConfigError(f"{spec}: expected data, got {artifact.name}; see npred ls for generate/…")
+        return artifact
+    pipeline = config.load(defaults.pipeline(spec), overrides)
+    return _last(pipeline, store, "generate", None, f"{spec}: expected data", f"npred generate {spec}").verify()
+
+
+def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None, expected: str, todo: str) -> Artifact:
+    """The result of a pipeline's stage. Raises ConfigError where the store has none."""
+    step = Planner(pipeline, store, "cpu").plan(nodes(pipeline, [stage], only=model))[-1]
+    if step.artifact is None:
+        raise ConfigError(f"{expected} in {store.root}, got none ({step.reason}); run {todo}")
+    return step.artifact
+
+
+def _named(artifact: Artifact, spec: str) -> Plant:
+    """The built-in plant of an artifact. Other plants are code: run when a pipeline names them, never else."""
+    asked = artifact.manifest.question.config.get("plant")
+    named = asked if isinstance(asked, dict) else {}
+    name, parameters = named.get("name"), named.get("parameters")
+    values = parameters if isinstance(parameters, dict) else {}
+    plant = plants.resolve(str(name), values) if plants.is_builtin(name) else None
+    if plant is None or identity(plant) != named:
+        raise ConfigError(
+            f"{spec}: expected a built-in plant, got {name!r} of another npred or of a file; use PIPELINE:MODEL"
+        )
+    return plant

@@ -1,0 +1,237 @@
+"""generate, train and evaluate from Python: the stages of the command line, its store and its keys.
+
+What they bring is in the store afterwards, and a second call takes it from there, as `npred` does. On a terminal they
+show the live view of the command line, in a notebook one output below the cell that is updated in place.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+import numpy as np
+
+from npred import plants
+from npred.base import devices, registry
+from npred.base.errors import ConfigError, unlisted
+from npred.base.notebook import InNotebook
+from npred.base.progress import listener
+from npred.lab import config
+from npred.lab.config import Pipeline, defaults
+from npred.lab.config.results import Evaluated, Generated, Result, Trained
+from npred.lab.report.terminal import live_view
+from npred.lab.report.terminal.console import Console
+from npred.lab.scheduler import executors
+from npred.lab.scheduler.retention import remember
+from npred.lab.scheduler.runner import Runner
+from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
+from npred.lab.store import Store
+from npred.plants import Plant
+from npred.prediction.methods import Predictor
+
+if TYPE_CHECKING:
+    from npred.lab.training.data.dataset import Dataset
+
+Kind = TypeVar("Kind", bound=Result)
+Source = Plant | str | Path | Pipeline
+
+
+@dataclass(frozen=True)
+class Made(InNotebook, Generic[Kind]):
+    """What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
+
+    `print` shows what the command line prints of it.
+    """
+
+    result: Kind
+    folder: Path
+    key: str
+    action: str
+    stage: str
+
+    def __str__(self) -> str:
+        return STAGES[self.stage].summary(self.result.json_object(), 120)
+
+
+@dataclass(frozen=True)
+class MadeData(Made[Generated]):
+    """Rows of (X, u, D_hat) -> P from closed loops; `result` says how many there are, and which are held out."""
+
+    @cached_property
+    def data(self) -> "Dataset":
+        """The rows: X (N, n), u (N, nx, m), D_hat (N,) in seconds, P (N, nx, n), and `test`, 1 where held out."""
+        from npred.lab.training.data.dataset import Dataset
+
+        return Dataset.read(self.folder / "data.h5")
+
+
+@dataclass(frozen=True)
+class MadeNetwork(Made[Trained]):
+    """A trained network; `result` has its errors on held-out rollouts."""
+
+    plant: Plant
+    pipeline: Pipeline
+
+    @cached_property
+    def network(self) -> Predictor:
+        """The network as a predictor, as `npred.load` gives it: P (..., nx, n) of X, u and D_hat."""
+        return self.load()
+
+    def load(self, nx: int = 101, device: str = "cpu", runtime: str | None = None) -> Predictor:
+        """The same for loops on nx nodes, on a device, in a runtime: see `npred.load`."""
+        from npred.lab.scheduler.models import Stored, loaded
+
+        device = devices.resolve(device)
+        devices.require(device)
+        name = self.result.model
+        return loaded(Stored(self.folder, name, None, self.plant, self.pipeline.train.table(name)), nx, device, runtime)
+
+
+def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
+    """The pipeline of a source, with some of its keys changed; see `generate`.
+
+    Raises ConfigError for what there is none of, for an unknown key and for a value out of range.
+    """
+    if not isinstance(settings, Mapping):
+        raise ConfigError(f"settings: expected keys and values, got {settings!r}; write {{'generate.samples': 2000}}")
+    chosen = table(source)
+    for key, value in settings.items():
+        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        config.put(chosen, key, plain, "settings: ")
+    return config.parse(chosen, str(source) if isinstance(source, str | Path) else str(chosen["name"]))
+
+
+def generate(
+    source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, jobs: int | None = None,
+    progress: bool = True,
+) -> MadeData:  # fmt: skip
+    """Data to train on, from closed loops with a numerical predictor: `npred generate` from Python.
+
+    Raises ConfigError for a source that is not there and for settings that do not fit; DivergedError for a loop that
+    leaves the finite numbers; StoreError for corrupt results.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, "auto", progress)
+    return MadeData(*run.bring(chosen, _remembered(source, settings), "generate"))
+
+
+def train(
+    source: Source, model: str | None = None, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None,
+    device: str = "auto", jobs: int | None = None, progress: bool = True,
+) -> MadeNetwork:  # fmt: skip
+    """A network trained to predict, on the data of `generate`: `npred train` from Python.
+
+    An interrupted training goes on from its checkpoint. `network` of what it returns is a predictor.
+
+    Raises ConfigError for a source or a network that is not there and for settings that do not fit; MissingError for a
+    device or a package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError
+    for corrupt results.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
+    name = model or chosen.train.models[0]
+    if name not in chosen.train.names:
+        raise ConfigError(unlisted("model", name, chosen.train.names))
+    plant = run.planner(chosen).plant
+    return MadeNetwork(*run.bring(chosen, _remembered(source, settings), "train", name), plant, chosen)
+
+
+def evaluate(
+    source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, device: str = "auto",
+    jobs: int | None = None, progress: bool = True,
+) -> Made[Evaluated]:  # fmt: skip
+    """The errors of a pipeline's networks, and what closed loops make of them: `npred evaluate` from Python.
+
+    What the store does not have is generated and trained first. `result.models` has the scores of each contender
+    (npred.lab.config.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network.
+
+    Raises ConfigError for a source that is not there and for settings that do not fit; MissingError for a device or a
+    package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError for corrupt
+    results.
+    """
+    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
+    return Made(*run.bring(chosen, _remembered(source, settings), "evaluate"))
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Where results are kept and how they are made."""
+
+    store: str | Path | None
+    jobs: int | None
+    device: str
+    progress: bool
+
+    def planner(self, chosen: Pipeline) -> Planner:
+        """The pipeline against the store."""
+        root = Path(self.store) if self.store else defaults.store()
+        return Planner(chosen, Store(root), devices.resolve(self.device))
+
+    def bring(
+        self, chosen: Pipeline, file: Path | None, stage: str, model: str | None = None
+    ) -> tuple[Any, Path, str, str, str]:
+        """The result of a stage, from the store or run with what it needs, and where it is."""
+        planner, needed, jobs = self.planner(chosen), nodes(chosen, [stage], model), self.jobs or devices.cores()
+        with ExitStack() as stack:
+            console = stack.enter_context(_console(chosen, [node.title for node in needed], self.progress))
+            devices.require(planner.device)
+            executor = stack.enter_context(executors.opened(executors.LOCAL, jobs))
+            planner.store.adopt()
+            outcomes = Runner(console, jobs, executor).run(planner, needed)
+        if file:  # so that npred gc keeps what it asked for
+            remember(planner.store, file, {done.node.name: done.artifact.manifest.key for done in outcomes})
+        done = outcomes[-1]
+        kind = STAGES[stage].result
+        return kind.read(done.artifact.folder), done.artifact.folder, done.artifact.manifest.key, done.action, stage
+
+
+def _remembered(source: Source, settings: Mapping[str, Any]) -> Path | None:
+    """The file that the results are of; with settings it does not ask for them."""
+    return None if settings else _file(source)
+
+
+@contextmanager
+def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Console]:
+    """What shows the stages: a table in a terminal, one output in a notebook, lines now and then elsewhere."""
+    shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
+    console = shown() if progress else Console(quiet=True)
+    with listener(console.wait), console.watch(chosen.name, titles):
+        yield console
+
+
+def table(source: Source) -> dict[str, Any]:
+    """The pipeline as a plain dictionary; that of a plant has the defaults."""
+    if isinstance(source, Plant):
+        if source.spec is None:
+            raise ConfigError(
+                f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
+                "write it to a file, and name that: my_plant.py:Tank"
+            )
+        if source.law and not source.law_table:
+            raise ConfigError(
+                f"plant {source.name}: expected a kappa by its name, by which results are kept, got a function; "
+                "write it to the plant's file"
+            )
+        law = {"kappa": dict(source.law_table)} if source.law_table else {}
+        name = re.sub(r"\W+", "_", source.name)
+        return {"name": name, "plant": source.spec, "parameters": dict(source.parameters)} | law
+    if not isinstance(source, str | Path | Pipeline):
+        raise ConfigError(
+            f"source: expected a pipeline or a plant, by name, file or as an object, got {source!r}; name one"
+        )
+    if isinstance(source, Pipeline):
+        return source.model_dump(exclude_unset=True)
+    if _file(source):
+        return config.table(defaults.pipeline(source))
+    if not registry.in_file(str(source)) and str(source) not in plants.names():
+        raise ConfigError(f"{defaults.missing(Path(source))}, nor a plant of that name; npred plants lists those")
+    return table(plants.resolve(str(source)))
+
+
+def _file(source: Source) -> Path | None:
+    """The pipeline file that a text names, as the command line takes it; None where it names a plant."""
+    if not isinstance(source, str | Path):
+        return None
+    path = defaults.pipeline(source)
+    return path if path.is_file() or path.suffix == ".toml" else None

@@ -1,0 +1,31 @@
+"""The time of a predictor call, each with its error beside it."""
+
+from typing import TYPE_CHECKING, Any
+
+from npred.base import registry
+from npred.lab.scheduler.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.lab.scheduler.configuration import Slices
+
+STAGE = Stage(
+    __name__,
+    version=12,
+    upstream=("generate", "train"),
+    result_class="npred.lab.config.results:Benched",
+)
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table, the predictors that are timed, and the machine."""
+    from npred.base import devices
+    from npred.lab.scheduler.configuration import table
+
+    bench = slices.config.bench
+    section = table(bench) | {
+        "runtimes": [*map(registry.RUNTIMES.identity, bench.runtimes)],
+        "baselines": [*map(registry.BASELINES.identity, bench.baselines)],
+    }
+    methods = [*map(registry.METHODS.identity, slices.config.methods)]
+    timed = {"bench": section, "methods": methods, "hardware": devices.hardware(slices.device)}
+    return timed | slices.mechanics | slices.networks | slices.box

@@ -1,0 +1,115 @@
+"""Break-even of networks against the quickest numerical predictor of the same accuracy, on the same samples."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from npred.base import grid
+from npred.kernels.kernel import bound
+from npred.lab.config import Bench
+from npred.lab.config.results.bench import CallTimes, Crossover, EquivalentMethod
+from npred.lab.scheduler.job import Job
+from npred.lab.stages.bench import timing, timing_tables
+from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
+from npred.prediction.methods import RK4, OneStep, Predictor
+
+STEPS = (10, 210)  # of the two runs whose difference is the cost of f
+
+
+def measure(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference: Reference) -> list[Crossover]:
+    """One row per trained network: its quickest runtime at batch 1 and the first dx, and every method as accurate."""
+    single = [
+        (entry, row)
+        for entry, row in timed
+        if entry.batch == 1 and entry.device == "cpu" and row.eps_sup and isfinite(row.eps_sup)
+    ]
+    first = grid.count(job.config.bench.dx[0])
+    crossovers = []
+    for name in sorted(set(job.config.train.models)):
+        timings = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
+        methods = [entry for entry, _ in single if entry.matches == name]
+        if timings and methods:
+            network, row = min(timings, key=lambda pair: pair[1].median_us)
+            eps = ErrorSizes(row.eps_sup, row.eps_median)
+            crossovers.append(crossover(job.config.bench, network, eps, methods, reference))
+    return crossovers
+
+
+def crossover(
+    config: Bench, network: Candidate, eps: ErrorSizes, methods: list[Candidate], reference: Reference
+) -> Crossover:
+    """All timed in turn. pays_from_ns: the cost of f at which the steps of the fastest method take as long as the
+    network, 0 where they do without f.
+    """
+    plant = reference.plant
+    typical = [_by_median(entry, reference, eps.median) for entry in methods]
+    timed = (network, *methods, *(entry for entry in typical if entry))
+    runs = {entry.label: entry.run for entry in timed} | {str(k): RK4(plant, k + 1) for k in STEPS}
+    calls = {label: call(reference, run) for label, run in runs.items()}
+    times = timing.sample(calls, config.calls, config.seconds)
+    median = {label: timing.quantiles(taken)["median_us"] for label, taken in times.items()}
+    few, many = (median[str(k)] for k in STEPS)
+    f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
+    best = min(methods, key=lambda entry: median[entry.label])
+    network_us, best_us = median[network.label], median[best.label]
+    evaluations = _evaluations(best) or 1000 * best_us / f_ns
+    overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
+    measured = Crossover(
+        plant=plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=eps.sup,
+        eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
+        network_us=network_us, numerical=[_equivalent(e, median, reference) for e in methods],
+        by_median=[_equivalent(e, median, reference) for e in typical if e],
+        best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
+        f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
+    )  # fmt: skip
+    return measured.model_copy(update={"sentence": timing_tables.network_pays(measured, 1 / (network.nx - 1))})
+
+
+def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
+    """The same method on as many steps as it needs for that median error."""
+    kind: Any = type(method.run)
+    nodes = matching(reference, kind, eps, by="median")
+    run = kind(method.run.plant, nodes) if nodes else None
+    return run and replace(method, nx=nodes, run=run, matches=f"{method.matches}, median")
+
+
+def _equivalent(entry: Candidate, median_us: dict[str, float], reference: Reference) -> EquivalentMethod:
+    errors = reference.of_method(entry.run, entry.nx)
+    return EquivalentMethod(
+        predictor=entry.predictor, steps=entry.nx - 1, median_us=median_us[entry.label], eps_sup=errors.sup,
+        eps_median=errors.median,
+    )  # fmt: skip
+
+
+def _evaluations(method: Candidate) -> int | None:
+    """The evaluations of f in a call; None where all of it grows with f: an implicit step's derivatives and matrix, and
+    what a simulator does.
+    """
+    run = method.run
+    if not isinstance(run, OneStep) or hasattr(run.step, "whole"):
+        return None
+    return run.evaluations() * (method.nx - 1)
+
+
+def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
+    """The k-th call on a sample of the reference, as a loop makes it, on memory that is there; then the guard's."""
+    plant, predict = run.plant, run.lanes()
+    u = grid.means(reference.u, run.nx)
+    inputs = [
+        (reference.X[i][:, None].copy(), u[i][..., None].copy(), reference.D_hat[i : i + 1].copy())
+        for i in range(len(reference.X))
+    ]
+    P, error, fallback = np.empty((run.nx, plant.n, 1)), np.empty(1), np.empty(1)
+    calls = [bound(predict, *sample, 0.0, plant.p, P) for sample in inputs]
+    if run.guard is None:
+        return lambda k: calls[k % len(calls)]()
+    checks = [bound(run.guard, *sample, 0.0, plant.p, run.settings, P, error, fallback) for sample in inputs]
+
+    def checked(k: int) -> None:
+        calls[k % len(calls)]()
+        checks[k % len(checks)]()
+
+    return checked

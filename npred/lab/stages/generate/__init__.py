@@ -1,0 +1,26 @@
+"""Rollouts with the numerical predictor: the training data."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred.lab.scheduler.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.lab.scheduler.configuration import Slices
+
+STAGE = Stage(
+    __name__,
+    version=4,
+    upstream=(),
+    result_class="npred.lab.config.results:Generated",
+)
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table; data of a file enter by what they are."""
+    from npred.lab.scheduler.configuration import content
+
+    section = slices.loop("generate")
+    if section["data"]:
+        section["data"] = content("generate.data", Path(section["data"]))
+    return {"generate": section}

@@ -1,0 +1,27 @@
+"""The delay and the parameters of a plant by a recording of it, and what the recording does not tell."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from npred.lab.scheduler.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.lab.scheduler.configuration import Slices
+
+STAGE = Stage(
+    __name__,
+    version=1,
+    upstream=(),
+    result_class="npred.lab.config.results:IdentifiedResult",
+    table_class="npred.lab.stages.identify.table:Identify",
+)
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The table; the recording enters by what it holds, and the measured outputs by their formulas."""
+    from npred.lab.scheduler.configuration import content, table
+
+    section = table(slices.config.optional("identify"))
+    if section["data"]:
+        section["data"] = content("identify.data", Path(section["data"]))
+    return {"identify": section, "outputs": list(slices.plant.outputs)} | slices.output

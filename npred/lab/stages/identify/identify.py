@@ -1,0 +1,119 @@
+"""The identify stage: a recording read, the plant fitted to it, a page of what it tells."""
+
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from npred.base.errors import ConfigError
+from npred.identification.identified import Identified
+from npred.identification.identify import Settings, of_log, recorded
+from npred.lab.config.results import IdentifiedResult
+from npred.lab.report.figures import identified as drawings
+from npred.lab.report.figures.figure import Figure, write
+from npred.lab.report.figures.table import Column, Table
+from npred.lab.scheduler.job import Job
+from npred.lab.stages.report import html_page, toml_text
+from npred.plants import Plant
+
+PAGE = "page.html"
+LAGS = 40
+
+
+def run(job: Job) -> IdentifiedResult:
+    """Write page.html, its figures, and identified.h5 with what they draw."""
+    table, plant = job.config.optional("identify"), job.plant
+    if not table.data:
+        raise ConfigError(
+            "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
+        )
+    log = recorded(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
+    free, seed = tuple(table.free), job.config.seed
+    asked = Settings(free, table.bounds, table.longest, table.offset, table.time_varying, table.model_error, seed)
+    identified = of_log(plant, log, asked)
+    drawn = _drawn(identified)
+    with h5py.File(job.folder / "identified.h5", "w") as file:
+        for name, values in drawn.items():
+            file[name] = values
+    windows = identified.windows
+    lists = windows and {"t": windows.t.tolist(), "D": windows.D.tolist(), "interval": windows.interval.tolist()}
+    result = IdentifiedResult(
+        plant=plant.name,
+        inputs=list(plant.inputs),
+        D=identified.D.tolist(),
+        interval=identified.interval.tolist(),
+        identifiable=identified.identifiable.tolist(),
+        parameters=identified.parameters,
+        parameter_intervals=identified.parameter_intervals,
+        held_back=identified.held_back,
+        sentences=identified.sentences,
+        samples=len(log.t),
+        period=log.period,
+        **({"windows": lists} if lists else {}),
+    )
+    figures = list(drawings.figures(plant, drawn))
+    for figure in figures:
+        write(figure, job.folder)
+    (job.folder / PAGE).write_text(_page(job, result, figures), encoding="utf-8")
+    return result
+
+
+def summary(result: IdentifiedResult, width: int | None = None) -> str:
+    """What is known, in sentences."""
+    return "\n".join(result.sentences)
+
+
+def _drawn(identified: Identified) -> dict[str, Any]:
+    """What the figures draw, as arrays."""
+    estimate, log, m = identified.details["estimate"], identified.details["log"], identified.plant.m
+    segments, fit = estimate.problem.segments, estimate.fit
+    fitted = estimate.problem.outputs(fit)[segments.mask]
+    profiles = {f"profile_{j}": np.stack([p.values, p.costs - p.costs.min()]) for j, p in enumerate(estimate.profiles)}
+    empty = np.zeros((0, m))
+    windows = identified.windows
+    return profiles | {
+        "t": segments.t[segments.mask], "Y": segments.Y[segments.mask], "fitted": fitted, "t_U": log.t_U, "U": log.U,
+        "D": identified.D, "interval": identified.interval, "level": estimate.level,
+        "autocorrelation": _autocorrelation(fit.residuals),
+        "window_t": windows.t if windows else empty[:, 0], "window_D": windows.D if windows else empty,
+        "window_interval": windows.interval if windows else np.zeros((0, m, 2)),
+    }  # fmt: skip
+
+
+def _autocorrelation(residuals: np.ndarray) -> np.ndarray:
+    """ρ_k of the residuals along their segments."""
+    r = np.nan_to_num(residuals)
+    products = [
+        (r[:, k:] * r[:, : r.shape[1] - k]).sum() / max(r.shape[1] - k, 1) for k in range(min(LAGS, r.shape[1] - 1))
+    ]
+    return np.array(products) / max(products[0], 1e-300)
+
+
+def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
+    table = job.config.optional("identify")
+    return html_page.filled(
+        (files("npred.lab.report") / "templates" / "identified.html").read_text(encoding="utf-8"),
+        name=job.config.name,
+        about=f"What {Path(table.data).name} tells of plant {result.plant}: {result.samples} samples, one each "
+        f"{job.plant.time_text(result.period)} in the median.",
+        said=result.sentences,
+        chapters=[],
+        figures=figures,
+        table=_table(job.plant, result),
+        facts={"Recording": {"file": Path(table.data).name, "samples": str(result.samples)}},
+        settings=toml_text.dumps({"plant": job.config.beside().plant, "identify": table.beside()}),
+    )
+
+
+def _table(plant: Plant, result: IdentifiedResult) -> Table:
+    """Each delay and parameter with its interval."""
+    names = [*(f"delay of {name} ({plant.time_unit})" for name in result.inputs), *result.parameters]
+    values = [*result.D, *result.parameters.values()]
+    ends = [*result.interval, *result.parameter_intervals.values()]
+    yes_or_no = ["yes" if certain else "no" for certain in result.identifiable] + ["–"] * len(result.parameters)
+    return Table("identified", "With intervals of 95 %", [
+        Column("what", names), Column("value", values, digits=4), Column("from", [low for low, _ in ends], digits=4),
+        Column("to", [high for _, high in ends], digits=4), Column("identifiable", yes_or_no),
+    ])  # fmt: skip

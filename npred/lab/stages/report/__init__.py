@@ -1,0 +1,22 @@
+"""All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
+
+from typing import TYPE_CHECKING, Any
+
+from npred.lab.scheduler.declaration import Stage
+
+if TYPE_CHECKING:
+    from npred.lab.scheduler.configuration import Slices
+
+STAGE = Stage(
+    __name__,
+    version=9,
+    upstream=("generate", "train", "evaluate", "certify", "bench"),
+    result_class="npred.lab.config.results:Reported",
+)
+
+
+def key(slices: "Slices") -> dict[str, Any]:
+    """The whole pipeline, which the page shows, and its labels."""
+    from npred.lab.scheduler.configuration import table
+
+    return {"pipeline": table(slices.config.beside())} | slices.notation

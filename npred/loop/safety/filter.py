@@ -1,0 +1,154 @@
+"""A control barrier function of the predicted state [Ames et al., IEEE TAC 62 (2017) 3861; with input delay, Jankovic,
+ACC 2018, 5200]: U is changed as little as keeps safe(x, t, p, M) >= 0.
+
+With P the state at the time when U acts, h = safe(P, t + D), and ψ_0 = h, ψ_j = ψ_j-1' + α ψ_j-1 up to the first one
+whose derivative U moves [Xiao, Belta, IEEE TAC 67 (2022) 3655], U is the nearest to kappa(P), in widths of its
+bounds, with ψ' + α ψ >= margin.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from npred.base import array_checks, randomness
+from npred.base.errors import ConfigError
+from npred.formulas import Value, programs
+from npred.formulas.trace import Trace
+from npred.kernels.formula import vector
+from npred.kernels.functions import Formulas
+from npred.kernels.kernel import Kernel, made, skeleton
+from npred.laws import design
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.prediction.delays import family
+
+
+@dataclass(frozen=True)
+class SafetyFilter:
+    """U as near to kappa(P) as keeps what the plant declares by safe(x, t, p, M) -> [h, ...] at h >= 0.
+
+    U is held over a control step: the conditions are kept at both ends of it, to second order in dt. Distances of U are
+    in units of its bounds' width. Where the bounds of U leave no room, the missed conditions, in units of what U can
+    change, have the least sum of squares.
+
+    Raises ConfigError for numbers that make no sense.
+    """
+
+    alpha: float = 1.0  #: how fast a limit may be approached, h' >= -alpha h, in 1 / time; at most 1 / dt
+    margin: float = 0.0  #: added to that condition, in units of h / time^r if U moves the derivative r of h first
+    delay: float = 0.0  #: how wrong D_hat may be, in the plant's unit of time; above 0 with actuator = "history"
+
+    def __post_init__(self) -> None:
+        for name, room in (("alpha", "above 0"), ("margin", "of at least 0"), ("delay", "of at least 0")):
+            value = array_checks.number(f"safety: {name}", getattr(self, name))
+            if not math.isfinite(value) or value < 0 or (name == "alpha" and value == 0):
+                raise ConfigError(f"safety: expected {name} {room}, got {value:g}; give another")
+
+    @property
+    def ends(self) -> int:
+        """How many predicted states the conditions are kept in."""
+        return 3 if self.delay else 1
+
+    def check(self, plant: Plant, dt: float) -> None:
+        """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
+        if not plant.declares_safe:
+            raise ConfigError(
+                f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
+                f"plant {plant.name} has none; write it"
+            )
+        if not plant.traced or not plant.one_delay or plant.declares_delay:
+            raise ConfigError(
+                f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
+                "keep its limits in kappa"
+            )
+        if self.alpha * dt > 1:
+            raise ConfigError(f"safety: expected alpha up to 1 / dt, {1 / dt:g}, got {self.alpha:g}; lower it")
+        kernel(plant, self.ends)
+
+    def settings(self, dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
+        """The settings of a loop with it."""
+        widths = np.ptp(np.asarray(input_bounds, dtype=float), axis=1)
+        widths = np.where(np.isfinite(widths) & (widths > 0), widths, 1.0)
+        numbers = np.array([self.alpha, self.margin, dt, *widths])
+        return {"safety": numbers, "end_count": self.ends, "uncertain": float(self.delay)}
+
+    def sizes(self, nx: int) -> dict[str, int]:
+        """The sizes of its signals."""
+        return {"ends": self.ends, "protected": nx}
+
+    def kernel(self, plant: Plant) -> Kernel:
+        """npred.prediction.delays.family.PROTECT of the plant."""
+        return kernel(plant, self.ends)
+
+
+@cache
+def kernel(plant: Plant, ends: int) -> Kernel:
+    """PROTECT of a plant, for so many predicted states. Raises ConfigError for limits that no input moves in a way
+    that is linear in it.
+    """
+    n, m, of = plant.n, plant.m, Formulas(plant, ())
+    x, u, t, alpha = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t"), of.trace.input("alpha")
+    limits = [*of.trace.safe(x, t)]
+    phi = [_barrier(of.trace, plant, k, h, x, u, t, alpha) for k, h in enumerate(limits)]
+    along = of.trace.f(x, u, t)
+    by_input = [programs.derivative(phi, [*u], [*unit]) for unit in np.eye(m)]
+    by_state = [programs.derivative(phi, [*x], programs.derivative([*along], [*u], [*unit])) for unit in np.eye(m)]
+    a, pull = ([column[k] for k in range(len(phi)) for column in columns] for columns in (by_input, by_state))
+    arguments = [vector("x", n), vector("u", m), "t", "alpha"]
+    results = {"h": len(limits), "phi": len(phi), "a": len(a), "pull": len(pull)}
+    functions = {"BARRIER": of.function([*limits, *phi, *a, *pull], arguments, results, "one"), "FLOW": of.f()}
+    rows = 2 * ends * len(limits) + 2 * m
+    sizes = {"N": n, "M": m, "K": len(limits), "ENDS": ends, "ROWS": rows}
+    return made("protect", family.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
+
+
+def _barrier(
+    trace: Trace, plant: Plant, k: int, h: Value, x: np.ndarray, u: np.ndarray, t: Value, alpha: Value
+) -> Value:
+    """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves on the box."""
+    along, psi, degree = trace.f(x, u, t), h, _degree(plant, k)[0]
+    for order in range(1, degree + 1):
+        [rate] = programs.derivative([psi], [t, *x], [1.0, *along])
+        if order < degree and programs.depends([rate], [*u]):
+            [rate] = programs.derivative([psi], [t, *x], [1.0, *trace.f(x, np.zeros(plant.m), t)])
+        psi = rate + alpha * psi
+    slopes = [programs.derivative([psi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
+    if programs.depends(slopes, [*u]):
+        raise ConfigError(
+            f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
+            f"{k} is not; let another state be the input, by its rate"
+        )
+    return psi
+
+
+def assumed(plant: Plant) -> list[str]:
+    """The parameters without whose values U would move an earlier derivative of a limit: 0, say."""
+    names = {name for k in range(plant.limits) for name in _degree(plant, k)[1]}
+    return [name for name in plant.parameters if name in names]
+
+
+def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
+    """The first derivative of limit k by the time that U moves on the box, and the parameters that decide it."""
+    trace = Trace(plant)
+    x, u, t = trace.symbols()
+    along, still = trace.f(x, u, t), trace.f(x, np.zeros(plant.m), t)
+    X, moments = design.samples(plant), np.resize(design.moments(plant), design.SAMPLES)
+    limits = inputs.bounds(plant, None)
+    limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
+    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (design.SAMPLES, plant.m))
+    y, decide = trace.safe(x, t)[k], []
+    for degree in range(1, plant.n + 1):
+        [rate] = programs.derivative([y], [t, *x], [1.0, *along])
+        slopes = [programs.derivative([rate], [*u], [*unit])[0] for unit in np.eye(plant.m)]
+        [y] = programs.derivative([y], [t, *x], [1.0, *still])
+        rates = design.values(plant, [*slopes, y], X, U, moments)  # the last one is what is there where U = 0
+        if design.acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1]):
+            return degree, decide
+        symbols = zip(plant.parameters, trace.parameters, strict=True)
+        decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
+    raise ConfigError(
+        f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
+    )

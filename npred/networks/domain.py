@@ -1,0 +1,96 @@
+"""Where the training data were: a score of (X, u, D_hat) that is cheap enough for every call of a network."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from npred.base import grid
+
+FILE = "domain.safetensors"
+MOMENTS = 3  # of each input
+KEPT = 256  # rows that are kept as examples
+FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
+ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
+Phase = Callable[[np.ndarray], np.ndarray | None]
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Mahalanobis' distance d of the features of (X, u, D_hat) from the data's mean; inside is d <= limit.
+
+    The features, k in all, are asinh(X / bend), D_hat, the first three Legendre moments of each input over x, and the
+    phase in the plant's period as cosine and sine where P depends on the time. d = |whiten (features - mean)|,
+    whiten' whiten the inverse of their covariance; limit is the largest d of a row that the network was trained on.
+    A joint range: a state and an input that both occur, but never together, are outside. Shapes: bend (n,), mean (k,),
+    whiten (k, k), limit (); X, u, D_hat, t are some rows of the data, as examples.
+    """
+
+    bend: np.ndarray
+    mean: np.ndarray
+    whiten: np.ndarray
+    limit: np.ndarray
+    X: np.ndarray
+    u: np.ndarray
+    D_hat: np.ndarray
+    t: np.ndarray
+
+    @classmethod
+    def of_parts(cls, parts: Callable[[], Iterable[Any]], bend: np.ndarray, phase: Phase) -> "Domain":
+        """The domain of rows that come in parts, each with X, u, D_hat and P: `parts` is called three times."""
+        count, total, square = 0, np.zeros(()), np.zeros(())
+        kept: list[list[np.ndarray]] = []
+
+        def features(part: Any) -> np.ndarray:
+            return _features(part.X, part.u, part.D_hat, phase(part.t), bend)
+
+        for part in parts():
+            count, total = count + len(part.X), total + features(part).sum(axis=0)
+            thinned = slice(None, None, max(1, len(part.X) // KEPT))
+            kept.append([getattr(part, name)[thinned] for name in ("X", "u", "D_hat", "t")])
+        mean = total / count
+        for part in parts():
+            gap = features(part) - mean
+            square = square + gap.T @ gap
+        covariance = square / count + np.diag((FLOOR * (np.abs(mean) + FLOOR)) ** 2)
+        whiten = np.linalg.inv(np.linalg.cholesky(covariance))
+        gaps = (features(part) - mean for part in parts())
+        limit = max(np.linalg.norm(gap @ whiten.T, axis=1).max(initial=0.0) for gap in gaps)
+        rows = [np.concatenate(arrays) for arrays in zip(*kept, strict=True)]
+        spread = np.linspace(0, len(rows[0]) - 1, min(KEPT, len(rows[0]))).astype(int)
+        return cls(bend, mean, whiten, np.array(limit * (1 + ROUNDING)), *(a[spread] for a in rows))
+
+    def distance(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None) -> np.ndarray:
+        """d of X (B, n), u (B, nx, m), D_hat (B,) and the phase in the plant's period (B,), where it has one; (B,)."""
+        return np.linalg.norm((_features(X, u, D_hat, angle, self.bend) - self.mean) @ self.whiten.T, axis=1)
+
+    def save(self, folder: Path) -> None:
+        arrays = {f.name: np.array(getattr(self, f.name), dtype=float, order="C") for f in fields(self)}
+        save_file(arrays, folder / FILE)
+
+    @classmethod
+    def load(cls, folder: Path) -> "Domain | None":
+        """The saved domain; None beside a network that has none."""
+        if not (folder / FILE).exists():
+            return None
+        tensors = load_file(folder / FILE)
+        return cls(**{f.name: tensors[f.name] for f in fields(cls)})
+
+
+def legendre(nx: int) -> np.ndarray:
+    """Weights (MOMENTS, nx) of the integrals of u P_k(2x - 1) over [0, 1] on nx nodes."""
+    return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
+
+
+def _features(
+    X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None, bend: np.ndarray
+) -> np.ndarray:  # fmt: skip
+    """(N, k)."""
+    moments = np.einsum("kj,bjm->bmk", legendre(u.shape[1]), u)
+    columns = [np.arcsinh(X / bend), D_hat[:, None], *np.moveaxis(moments, 1, 0)]
+    if angle is not None:
+        columns.append(np.stack([np.cos(2 * np.pi * angle), np.sin(2 * np.pi * angle)], axis=1))
+    return np.concatenate(columns, axis=1)

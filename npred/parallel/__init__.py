@@ -1,1 +1,0 @@
-"""Other processes and devices: executors, and what a machine has."""

@@ -1,0 +1,83 @@
+"""Results as models: the JSON that the stages write, key for key, and one line for any other."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from result_samples import BENCHED, CROSSOVER, MAP, SCORES, TRAINED, evaluated, timing
+
+from npred.base.errors import StoreError
+from npred.lab.config.results import Benched, Evaluated, Generated, Result, Trained
+from npred.lab.config.results.evaluate import Errors, Scores
+from npred.lab.scheduler.stage_registry import STAGES
+
+EVALUATED = evaluated({"numerical": SCORES, "deeponet@7": SCORES | {"map": None}})
+
+
+def test_every_result_of_a_pipeline_is_its_models_dump(reported: tuple[Path, dict[str, Any]]):
+    for outcome in reported[1].values():
+        text = (outcome.artifact.folder / "result.json").read_text()
+        typed = STAGES[outcome.node.stage].result.read(outcome.artifact.folder)
+        assert json.dumps(typed.json_object(), indent=1, allow_nan=False) + "\n" == text
+
+
+@pytest.mark.parametrize(
+    ("model", "document"),
+    [
+        (Trained, TRAINED | {"loss": None}),
+        (Generated, {"samples": 3, "rollouts": 1, "held_out": [0], "nx": 5}),
+        (Generated, {"samples": 3, "rollouts": 1, "held_out": [0], "nx": 5, "shards": 2}),
+        (Evaluated, EVALUATED),
+        (Benched, BENCHED | {"rows": [timing("rk4").json_object()], "crossover": [CROSSOVER]}),
+    ],
+)
+def test_a_document_goes_through_its_model_unchanged(model: type[Result], document: dict[str, Any]):
+    typed = model.of(document, "a test")
+    assert json.dumps(typed.json_object()) == json.dumps(document)
+    assert model.of(typed.json_object(), "a test") == typed
+
+
+def test_null_is_infinite_where_a_number_is_not_finite_and_nothing_where_there_is_none():
+    scores = Scores.of(SCORES | {"mse": None, "map": None, "in_loop": math.nan}, "a test")
+    assert (scores.mse, scores.in_loop, scores.map, scores.decay_rate) == (math.inf, math.inf, None, None)
+    assert scores.radius.predicted == math.inf and scores.json_object()["radius"]["predicted"] is None
+    assert scores.set_values.keys() == SCORES.keys() != Scores.model_fields.keys()
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"foreign": 1}, "foreign: Extra"),
+        ({"models": {"fno": SCORES | {"novel": 1}}}, "models.fno.novel: Extra"),
+        ({"models": {"fno@late": SCORES}}, r"models.fno@late.\[key\]: Value error, expected an epoch after @"),
+        ({"models": {"fno": SCORES | {"map": MAP | {"share": "all"}}}}, "models.fno.map.share: Input"),
+        ({"gain": [1.0]}, "gain: "),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, change: dict[str, Any], place: str):
+    (tmp_path / "result.json").write_text(json.dumps(EVALUATED | change))
+    with pytest.raises(StoreError, match=rf"result.json: expected a result as this npred writes it, got at {place}"):
+        Evaluated.read(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["[]", "{", None])
+def test_what_is_no_json_object_is_refused(tmp_path: Path, text: str | None):
+    if text is not None:
+        (tmp_path / "result.json").write_text(text)
+    with pytest.raises(StoreError, match=r"result.json: expected a result as JSON, got: .*; remove .*, run again"):
+        Trained.read(tmp_path)
+
+
+def test_a_missing_key_is_named():
+    with pytest.raises(StoreError, match=r"a test: expected .* got at rel_l2: Field required"):
+        Errors.of({"mse": 0, "eps_sup": 0, "eps_kappa": 0}, "a test")
+
+
+def test_the_networks_of_an_evaluation_that_are_not_built_in_are_counted_by_name():
+    names = ("numerical", "yours", "fno", "mine@3", "mine")
+    typed = Evaluated.of(evaluated(dict.fromkeys(names, SCORES)), "a test")
+    assert [(c.name, c.rank) for c in typed.models] == [
+        ("numerical", 0), ("yours", 1), ("fno", 0), ("mine@3", 0), ("mine", 0),
+    ]  # fmt: skip

@@ -1,0 +1,80 @@
+"""The test inside an exported controller: it moves all, passes in both precisions, and fails for another text."""
+
+import importlib.util
+import subprocess
+
+import numpy as np
+import pytest
+from c_controllers import FLAGS, needs_gcc
+from conftest import HERE
+
+import npred
+from npred.exports import c_controller, self_test
+
+SPEC = importlib.util.spec_from_file_location("self_test_mutants", HERE.parent / "benchmarks" / "self_test_mutants.py")
+assert SPEC is not None and SPEC.loader is not None
+mutants = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(mutants)
+TWELVE = mutants.controllers()
+pytestmark = needs_gcc
+
+
+def written(folder, controller, precision, change=("", "")):
+    for file, text in zip(("npred.h", "npred.c"), c_controller.sources(controller, precision=precision), strict=True):
+        assert change[0] in text or file == "npred.h"
+        (folder / file).write_text(text.replace(*change) if change[0] else text)
+
+
+def own_test(folder, *flags):
+    command = ["gcc", *(flags or FLAGS), "-DNPRED_TEST", "npred.c", "-o", "own_test", "-lm"]
+    subprocess.run(command, cwd=folder, check=True, timeout=300)
+    return subprocess.run([folder / "own_test"], capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.parametrize("name", TWELVE)
+def test_it_moves_all_and_passes_in_both_precisions(tmp_path, name):
+    controller = TWELVE[name][0]()
+    test, growth = self_test.designed(controller)
+    U, D_hat = self_test.answers(controller, test)
+    assert growth < self_test.GROWTH and (np.nanmax(U, axis=0) > np.nanmin(U, axis=0)).all()
+    assert np.ptp(D_hat) > 0 or not (controller.adaptation or controller.plant.declares_delay)
+    for precision in ("double", "float"):
+        written(tmp_path, controller, precision)
+        done = own_test(tmp_path)
+        assert (done.returncode, precision) == (0, precision), done.stdout
+        assert precision == "float" or done.stdout.startswith("largest difference: 0.00e+00")
+
+
+def test_multiply_adds_and_vectors_pass_too(tmp_path):
+    written(tmp_path, TWELVE["EKF"][0](), "double")
+    assert own_test(tmp_path, "-std=gnu99", "-O3", "-march=native").returncode == 0
+
+
+@pytest.mark.parametrize("name", ["scalar", "van_der_pol", "cart_pole", "unicycle", "strict_feedforward3"])
+def test_a_law_of_another_gain_fails(tmp_path, name):
+    """A controller at rest would give 0 with any gain."""
+    plant = npred.plant(name)
+    controller = npred.controller(plant, npred.predictor("heun", plant, 21), None, 0.01, D_hat=0.3, actuator="history")
+    clipped = "clip(d, s->input_bounds, z->U);\n    if (q->update)"
+    written(tmp_path, controller, "double", (clipped, f"z->U[0] *= 1.000001;\n    {clipped}"))
+    assert own_test(tmp_path).returncode in (1, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["plain", "law"])
+def test_no_mutant_that_changes_u_passes(name):
+    assert not judged(name, 60).matter
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", TWELVE)
+def test_of_many_at_most_one_in_a_hundred_does(name):
+    """Those that are known need states far outside of the box, or move U by less than float's rounding."""
+    assert len(judged(name, 1500).matter) <= 15
+
+
+def judged(name, count):
+    make, precision = TWELVE[name]
+    row = mutants.judged(make(), precision, count)
+    assert row.mutants == count and row.passed < 0.9 * count  # many are in code that this controller does not run
+    return row

@@ -1,0 +1,68 @@
+"""The loops that a table of the pipeline file asks for: those of simulate with the same settings."""
+
+import math
+
+import numpy as np
+import pytest
+
+import npred
+from npred.base.errors import ConfigError
+from npred.lab.config import Evaluate
+from npred.lab.config.conditions import Condition
+from npred.prediction.methods import RK4
+
+PLANT = npred.plant("activator_repressor")
+START = {"X0": [[0.03, 30.0], [0.1, 20.0]], "t_end": 3.0}
+OTHER = npred.plant("activator_repressor", Ka=0.042)
+CASES = {
+    "nothing": ({}, {}),
+    "history": ({"actuator": "history"}, {"actuator": "history"}),
+    "sensors": (
+        {"measurement": {"noise": 0.02, "period": 0.05, "jitter": 0.1, "delay": 0.02, "drop": 0.1}},
+        {"measurement": npred.Measurement(0.02, 0.05, 0.1, 0.02, 0.1, seed=7)},
+    ),
+    "errors": (
+        {"measurement": {"absolute": [0.001, 0.5], "bias": [0.0, 0.1], "resolution": 0.002}},
+        {"measurement": npred.Measurement(absolute=[0.001, 0.5], bias=[0.0, 0.1], resolution=0.002, seed=7)},
+    ),
+    "truth": ({"truth": {"Ka": 0.042}}, {"truth": OTHER}),
+    "disturbance": (
+        {"disturbance": {"amplitude": 0.01, "omega": 0.7}}, {"disturbance": lambda t: 0.01 * math.sin(0.7 * t)},
+    ),
+}  # fmt: skip
+
+
+def run(table, **changes):
+    settings = START | {"D": 1.0, "D_hat": 1.2, "seed": 7} | changes
+    return Condition(table, **settings).loops(PLANT, RK4(PLANT, 21))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_table_runs_as_the_same_settings_in_python(name):
+    keys, arguments = CASES[name]
+    loops = run(Evaluate.model_validate({"dt": 0.01} | keys))
+    adaptation = npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0))
+    direct = npred.simulate(
+        PLANT, RK4(PLANT, 21), D=1.0, D_hat=1.2, dt=0.01, adaptation=adaptation, **START, **arguments
+    )
+    np.testing.assert_array_equal(loops.X, direct.X)
+    assert name == "nothing" or not np.array_equal(loops.X, run(Evaluate(dt=0.01)).X)
+
+
+def test_a_part_of_a_batch_has_the_noise_that_it_has_in_the_whole():
+    table = Evaluate.model_validate({"dt": 0.01, "measurement": {"noise": 0.05}})
+    whole = run(table)
+    condition = Condition(table, **START, D=np.ones(2), D_hat=np.full(2, 1.2), seed=7)
+    part = condition.part(slice(1, 2)).loops(PLANT, RK4(PLANT, 21))
+    np.testing.assert_array_equal(part.X[0], whole.X[1])
+    assert (condition.steps, condition.part(slice(1, 2)).steps) == (602, 301)
+    assert not np.array_equal(run(table, X0=START["X0"][1:]).X[0], whole.X[1])
+
+
+def test_without_adaptation_the_estimate_is_held():
+    assert (run(Evaluate(dt=0.01), adapts=False).D_hat == 1.2).all()
+
+
+def test_a_parameter_that_the_plant_does_not_have_is_refused():
+    with pytest.raises(ConfigError, match=r"expected parameters .* got 'k'"):
+        run(Evaluate(truth={"k": 1.0}))
