@@ -79,11 +79,9 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module 'npred' has no attribute {name!r}{similar(name, (*_HOME, *_MODULES))}")
     import importlib
 
-    from npred.base.docstrings import documented
-
     if name in _MODULES:
         return importlib.import_module(f"npred.{_MODULES[name]}")
-    return documented(getattr(importlib.import_module(f"npred.{_HOME[name]}"), name))
+    return getattr(importlib.import_module(f"npred.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -1,6 +1,5 @@
 """Docstrings are plain text with `names` in backticks; in reStructuredText |, * and _ mean something."""
 
-import inspect
 import re
 from itertools import pairwise
 from typing import Any
@@ -10,8 +9,6 @@ from numpy.typing import ArrayLike
 from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, NumpyDocstring
 from sphinx.util.typing import stringify_annotation
-
-from npred.base.docstrings import documented
 
 NAME = re.compile(r"`([^`]+)`")
 SECTIONS = Config(napoleon_use_param=False, napoleon_use_rtype=False)
@@ -23,8 +20,6 @@ def plain(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: li
 
     Sphinx's napoleon sets the sections.
     """
-    if inspect.isfunction(thing) and name.startswith("npred.") and thing.__doc__:
-        lines[:] = documented(thing).__doc__.splitlines()
     made: list[str] = []
     in_sections = False
     for line, below in pairwise([*lines, ""]):

@@ -43,10 +43,24 @@ def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
     loop, linearised at the equilibrium, is stable for every constant D_hat in (D + low, D + high), and at the ends a
     root is on the imaginary axis: the first crossing on each side. Time is continuous here, and no command is clipped.
 
-    Returns (low, high), low <= 0 <= high, in the plant's unit of time. low = -D if the loop is stable down to D_hat =
-    0. high = inf if it is stable up to ten times the sum of D and the loop's slowest time constant.
-    Raises ConfigError for a plant that declares its delay, has no equilibrium, or has a kappa that does not stabilise
-    without delay, and for a D that is no time above 0.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    D : float, in the plant's unit of time
+        The delay, where inputs have several the longest.
+
+    Returns
+    -------
+    tuple[float, float]
+        (low, high), low <= 0 <= high, in the plant's unit of time. low = -D if the loop is stable down to D_hat =
+        0. high = inf if it is stable up to ten times the sum of D and the loop's slowest time constant.
+
+    Raises
+    ------
+    ConfigError
+        For a plant that declares its delay, has no equilibrium, or has a kappa that does not stabilise without
+        delay, and for a D that is no time above 0.
     """
     require(plant)
     D = array_checks.number("D", D)

@@ -25,7 +25,19 @@ class DelayLaw(ABC):
     Python, batch by batch, unless it has a `kernel`. A subclass that changes a method of such a law, `check` aside,
     runs in Python again.
 
-    Raises ConfigError for a gain, b or bounds that make no sense.
+    Parameters
+    ----------
+    gamma : float above 0, default 1.0
+        Adaptation gain.
+    b : float above 0, default 1.0
+        Weight of w in N = 1 + V + b ∫₀¹ (1 + x) w² dx.
+    bounds : (low, high), in the plant's unit of time, optional
+        The range of D_hat; by default 0.1 to 4 times the longest delay of a loop, widened to D and D_hat.
+
+    Raises
+    ------
+    ConfigError
+        For a gain, b or bounds that make no sense.
     """
 
     gamma: float = 1.0
@@ -72,19 +84,34 @@ class DelayLaw(ABC):
 
         u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
         to the bounds after each step.
+
+        Parameters
+        ----------
+        plant : Plant
+            From npred.plant.
+        X : array (..., n), in the plant's units
+            States.
+        u : array (..., nx, m), in the plant's units
+            Inputs under way on the nodes of [0, 1]; (nx,) for one sample of one input.
+        P : array (..., nx, n), in the plant's units
+            Prediction on the nodes of [0, 1].
+        D_hat : array (...), in the plant's unit of time
+            Estimate of the delay; None for a plant that declares it.
+        t : array (...), in the plant's unit of time
+            Times.
         """
 
     def kernel(self, plant: Plant) -> Kernel | None:
-        """The law compiled for a plant, family.UPDATE of npred.prediction.delays: D_hat' = gamma phi; None where `rate` has
-        to run.
+        """The law compiled for a plant, family.UPDATE of npred.prediction.delays: D_hat' = gamma phi; None
+        where `rate` has to run.
 
         It writes phi (B,), and N (B,) where the law has one: W takes it (npred.loop.lyapunov).
         """
         return None
 
     def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int] | None:
-        """A law that finds D_hat from X and its own commands: family.OBSERVE of npred.prediction.delays, compiled for the
-        plant.
+        """A law that finds D_hat from X and its own commands: family.OBSERVE of npred.prediction.delays, compiled
+        for the plant.
 
         With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
         before the prediction of the step. None for a law that gives a rate. Where samples of X arrive, it gets them

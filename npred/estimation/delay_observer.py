@@ -47,7 +47,29 @@ NUMBERS = 8  # of the settings, as npred/kernels/c/candidates.h has them; behind
 class DelayObserver(DelayLaw):
     """D_hat from X and the controller's own commands, by a bank of observers, one per candidate of the delay.
 
-    Raises ConfigError for settings that make no sense.
+    Parameters
+    ----------
+    gamma : float, default 1.0
+        Has no meaning here; laws of a pipeline have it.
+    b : float, default 1.0
+        Has no meaning here; laws of a pipeline have it.
+    bounds : (low, high), in the plant's unit of time, optional
+        The range of D_hat; by default 0.1 to 4 times the longest delay of a loop, widened to D and D_hat.
+    candidates : int, default 80
+        Largest number of candidates of the delay within the bounds.
+    L : float, 1/s, default 3.0
+        Rate at which an observer follows X.
+    omega : float, 1/s, default 8.0
+        Rate at which its disturbance follows.
+    memory : float, s, default 5.0
+        Forgetting time of errors.
+    window : float, s, default 1.0
+        Forgetting time of the latest errors.
+
+    Raises
+    ------
+    ConfigError
+        For settings that make no sense.
     """
 
     candidates: int = 80

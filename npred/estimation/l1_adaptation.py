@@ -24,7 +24,21 @@ class L1Adaptation(DelayLaw):
     noise, which a law without that width answers at full speed; epsilon = 0 is the published law. It converges
     locally, from estimates near the delay, and has no limit as dt goes to 0 (docs/delay_laws.md).
 
-    Raises ConfigError for a gain or bounds that make no sense.
+    Parameters
+    ----------
+    gamma : float above 0, default 1.0
+        Adaptation gain.
+    b : float, default 1.0
+        Has no meaning here; laws of a pipeline have it.
+    bounds : (low, high), in the plant's unit of time, optional
+        The range of D_hat; by default 0.1 to 4 times the longest delay of a loop, widened to D and D_hat.
+    epsilon : float, default 0.05
+        Width of sgn(w), for which w / (|w| + epsilon) is taken; 0 is the published law.
+
+    Raises
+    ------
+    ConfigError
+        For a gain or bounds that make no sense.
     """
 
     epsilon: float = 0.05

@@ -166,9 +166,31 @@ def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Expor
 def export(controller: "Controller", form: str, path: str | Path, **options: Any) -> list[Path]:
     """The controller, or its network alone, as files for another program: `npred export` from Python.
 
-    Returns the files.
-    Raises ConfigError for another form or option, for a part that has no such form and for a file that cannot be
-    written; MissingError for a package that is not there; NpredError for a file that differs from the network.
+    Parameters
+    ----------
+    controller : Controller
+        From npred.controller.
+    form : "controller", "fmu", "c" or "onnx"
+        C99 with a test inside, a Functional Mock-up Unit, or the network alone, P and U, as C99 or as an ONNX
+        graph.
+    path : str or Path
+        A file, as "tank.fmu", for "controller" a folder.
+    **options : of any type
+        The flags of `npred export FORM`, as precision="float", name="tank" or platforms=["win64"].
+
+    Returns
+    -------
+    list[pathlib.Path]
+        The files.
+
+    Raises
+    ------
+    ConfigError
+        For another form or option, for a part that has no such form and for a file that cannot be written.
+    MissingError
+        For a package that is not there.
+    NpredError
+        For a file that differs from the network.
     """
     import numpy as np
 

@@ -285,6 +285,25 @@ def guarded(
 
     A pass is an estimate, not a bound: docs/guard.md says what an adversary finds.
 
-    Raises ConfigError for a tolerance that is not above 0, and for a model on fewer than five nodes.
+    Parameters
+    ----------
+    model : Predictor
+        A network from npred.load, or any other.
+    tolerance : float, in the inputs' units, default 0.01
+        Largest error of U that is to pass.
+    by : "auto" or "shadow", default "auto"
+        The estimate; there is one.
+    exact : Predictor, optional
+        Answers in place of the model; by default RK4, or what suits the data that a trained model carries.
+
+    Returns
+    -------
+    Predictor
+        P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
+
+    Raises
+    ------
+    ConfigError
+        For a tolerance that is not above 0, and for a model on fewer than five nodes.
     """
     return Guarded(model, tolerance, by, exact=exact)

@@ -61,8 +61,53 @@ def identify(
     The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
     the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
 
-    Raises ConfigError for arrays that do not fit together, a file or a column that is not there, an unknown parameter,
-    a log that is too short, and a plant that declares its delay.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    t : array (N,), in the plant's unit of time, or str or Path
+        Times of the rows, which may be irregular, repeated and in any order; or, in place of t, U and X, a
+        recording: a table "log.csv", or a format of an extra.
+    U : array (N, m), in the plant's units, optional
+        Commands, each held until the next one; NaN is no new command.
+    X : array (N, n), optional
+        Measured states, or what the plant declares by output(x, t, p, M); NaN is no sample.
+    columns : dict of str, optional
+        Columns of a recording whose names are not those of inputs and outputs, {"q": "Q1"}.
+    scale : dict of float, optional
+        Factors that bring columns to the plant's units.
+    shift : dict of float, optional
+        What is then added.
+    time : str, optional
+        The column of the times.
+    time_unit : str, optional
+        Its unit.
+    free : list of str, optional
+        Parameters of the plant that are estimated.
+    bounds : dict of (low, high), optional
+        Ranges of free parameters.
+    longest : float, in the plant's unit of time, optional
+        Longest delay that is tried; by default up to a fifth of the recording.
+    offset : bool, default False
+        Whether a constant is added to each input and estimated.
+    time_varying : bool, default False
+        Whether delays are estimated over windows of time as well.
+    model_error : float, default 0.05
+        How far, relatively, parameters that are not free may be from their value; that widens the intervals. 0 says
+        that they are exact, as those of a black box are taken to be.
+    seed : int, default 0
+        Seed of the random numbers.
+
+    Returns
+    -------
+    Identified
+        Delays D (m,) with intervals of 95 % (m, 2); the parameters that were freed; errors on what was held back.
+
+    Raises
+    ------
+    ConfigError
+        For arrays that do not fit together, a file or a column that is not there, an unknown parameter, a log that
+        is too short, and a plant that declares its delay.
     """
     if isinstance(t, Plant):
         plant, t = t, plant

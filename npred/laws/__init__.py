@@ -3,7 +3,6 @@
 Each is a file and a line of npred.base.registry.LAWS: a function of a plant that gives a kappa(x, t, p, M).
 """
 
-from npred.base.docstrings import documented
 from npred.laws.law import Law
 from npred.laws.linearisation import feedback_linearisation
 from npred.laws.placement import pole_placement
@@ -11,6 +10,3 @@ from npred.laws.regulator import lqr
 from npred.laws.universal import sontag
 
 __all__ = ["Law", "feedback_linearisation", "lqr", "pole_placement", "sontag"]
-
-for public in (Law, feedback_linearisation, lqr, pole_placement, sontag):
-    documented(public)

@@ -26,6 +26,13 @@ class Law:
     """A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
 
     A plant with it has this `guess`: a law holds the rest that it was designed for, and perhaps no other.
+
+    Parameters
+    ----------
+    text : str
+        The definition of kappa in Python.
+    guess : (n,), the states' units
+        The rest that the law holds.
     """
 
     text: str

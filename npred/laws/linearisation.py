@@ -36,7 +36,25 @@ def feedback_linearisation(plant: Plant, poles: Sequence[complex] | None = None,
 
     The r_i are the relative degrees of the outputs.
 
-    Raises ConfigError where the outputs have no relative degree on the box, or leave a rest that is not stable.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    poles : complex numbers, 1/s, optional
+        The r_1 + r_2 + … poles of the outputs in turn; by default each is minus the geometric mean of the rates of
+        the loop of lqr.
+    output : names of states, one per input, or function (x, t, p, M), optional
+        Y; by default the states with the largest relative degrees r_i that leave a stable rest.
+
+    Returns
+    -------
+    Law
+        A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    Raises
+    ------
+    ConfigError
+        Where the outputs have no relative degree on the box, or leave a rest that is not stable.
     """
     design = Design(plant, "feedback_linearisation")
     if output is not None:

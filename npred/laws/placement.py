@@ -19,7 +19,23 @@ def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
 
     K = G inv(Z) with A Z - Z L = B G, L of the poles (Bhattacharyya and de Souza, Systems & Control Letters 1, 1982,
     261-263): one input has one K, of several the G that gives the best conditioned Z of a few.
-    Raises ConfigError for another number of poles, for one that is not stable, and where they cannot be placed.
+
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    poles : n complex numbers, 1/s
+        Poles of the loop without delay.
+
+    Returns
+    -------
+    Law
+        A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    Raises
+    ------
+    ConfigError
+        For another number of poles, for one that is not stable, and where they cannot be placed.
     """
     design = Design(plant, "pole_placement")
     L = _block(design, checked(design, poles, plant.n))

@@ -21,7 +21,24 @@ def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) ->
     A and B are those of f at the point of rest X, u, or their means along the reference. The law itself is not clipped:
     npred clips every U to the input bounds.
 
-    Raises ConfigError for weights that do not fit, and for a linearisation that the inputs do not stabilise.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    Q : array (n, n) or its diagonal (n,), optional
+        Weights of the states; by default 1 / size², the size half the box (Bryson's rule).
+    R : array (m, m) or its diagonal (m,), optional
+        Weights of the inputs; by default 1 / size², the size the distance to the nearer bound.
+
+    Returns
+    -------
+    Law
+        A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    Raises
+    ------
+    ConfigError
+        For weights that do not fit, and for a linearisation that the inputs do not stabilise.
     """
     design = Design(plant, "lqr")
     return along(design, gains(design, Q, R)[1])

@@ -27,7 +27,22 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     with which the linear law -g s b' makes V fall near rest: V' < 0 wherever a < 0, or β sqrt(a² + β² + ε²) > a ε / g.
     With V = "lqr" the law is that of the regulator near rest.
 
-    Raises ConfigError for an f that is not affine in the inputs, and for a V that no input makes fall near rest.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    V : function (x, t, p, M) or "lqr", optional
+        "lqr" is e'Se of the regulator; by default the V of the plant, and "lqr" without one.
+
+    Returns
+    -------
+    Law
+        A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    Raises
+    ------
+    ConfigError
+        For an f that is not affine in the inputs, and for a V that no input makes fall near rest.
     """
     design = Design(plant, "sontag")
     value = _value(design, V)

@@ -43,9 +43,6 @@ def simulate(
 ) -> Trajectories:  # fmt: skip
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
-    `parts` are the other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety,
-    integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
-
     D, D_hat and X0 broadcast to the batch. Where inputs have several delays input j comes after r_j D, and U_j =
     kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. If a loop overflows, the rest of it is
     NaN; the other loops are not affected. Where commands would overtake each other, a loop of a plant that declares its
@@ -58,7 +55,45 @@ def simulate(
     actuator="history" is called at its own times, and samples and commands have theirs, not rounded to control steps. X
     is that of k dt all the same; `clock` has what the controller says besides (npred.loop.trajectories.OnAClock).
 
-    Raises ConfigError for delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    predictor : Predictor or None
+        From npred.predictor, npred.load or npred.guarded; None is the open loop U = 0.
+    X0 : array (..., n), in the plant's units
+        States at t = 0.
+    t_end : float, in the plant's unit of time
+        Length of the loops.
+    D : array (...) or function of t, in the plant's unit of time, optional
+        True delay, where inputs have several the longest. A function is a delay that drifts or jumps. None for a
+        plant that declares its delay.
+    D_hat : array (...), in the plant's unit of time, optional
+        Estimate of the delay; None for a plant that declares it.
+    dt : float, in the plant's unit of time, default 0.005
+        Control step; U is held over it.
+    adaptation : DelayLaw or None, optional
+        Law of the estimate D_hat; None freezes it.
+    every : int, default 1
+        Control steps between two kept states.
+    samples : int array (..., S), optional
+        Control steps, sorted, of which (X, u, D_hat) are kept too.
+    progress : bool or function, optional
+        True shows a bar, in a terminal or a notebook; a function gets the number of loop steps done; by default a
+        line on stderr says so if loops take longer than a second.
+    **parts
+        The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety, integrator, timing, observer, watchdog,
+        outlier_limit, max_sample_age.
+
+    Returns
+    -------
+    Trajectories
+        Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
+
+    Raises
+    ------
+    ConfigError
+        For delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
     """
     named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
     loop = Loop.of("simulate", ("history_length",), named | {"adaptation": adaptation, **parts})

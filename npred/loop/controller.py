@@ -37,10 +37,30 @@ def controller(
     """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
     `actuator="history"`, where u is not measured.
 
-    `parts` are the other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog,
-    safety, outlier_limit, max_sample_age, history_length.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    predictor : Predictor
+        From npred.predictor, npred.load or npred.guarded.
+    adaptation : DelayLaw or None
+        Law of the estimate D_hat; None freezes it.
+    dt : float, in the plant's unit of time
+        Control step; U is held over it.
+    D_hat : float, in the plant's unit of time, optional
+        First estimate of the delay; by default the middle of the law's bounds.
+    **parts
+        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog, safety, outlier_limit, max_sample_age, history_length.
 
-    Raises ConfigError for parts that do not fit together, and for an unknown one.
+    Returns
+    -------
+    Controller
+        U = kappa(P(1)), P from the predictor, each dt.
+
+    Raises
+    ------
+    ConfigError
+        For parts that do not fit together, and for an unknown one.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
     return Controller(Loop.of("controller", REALITY, named | {**parts}))
@@ -232,9 +252,34 @@ class Controller(InNotebook):
         `sampled_at` and `applied` are for actuator="history". After a DivergedError the last U is to be held: with it
         the time and the history of commands go on, and all else, U's memory too, stands as before.
 
-        Returns U, the controller's own memory, overwritten by the next step.
-        Raises ConfigError for shapes and times that do not fit and for what are no real numbers, masked arrays among
-        them; DivergedError for a measurement that is not finite, or that the prediction leaves the finite numbers from.
+        Parameters
+        ----------
+        X : (n,), optional
+            State, or the outputs of the observer, NaN where one is missing; None is no sample, with actuator="history"
+            only.
+        u : (nx, m), optional
+            Inputs under way on the predictor's nodes, measured now; none with actuator="history".
+        u_nodes : (nx, m), optional
+            Values of u at the nodes, where u has the means over the cells and a measurement tells them apart; by
+            default u.
+        t : float, in the plant's unit of time, optional
+            When this call is; by default dt after the last one.
+        sampled_at : float, in the plant's unit of time, optional
+            When X was taken; by default now.
+        applied : (m,), optional
+            What the actuator got at the call before, if that was not U.
+
+        Returns
+        -------
+        numpy.ndarray
+            U, the controller's own memory, overwritten by the next step.
+
+        Raises
+        ------
+        ConfigError
+            For shapes and times that do not fit and for what are no real numbers, masked arrays among them.
+        DivergedError
+            For a measurement that is not finite, or that the prediction leaves the finite numbers from.
         """
         if (u is None) != self._recalls or (X is None and not self._recalls):
             expected, came = (

@@ -26,8 +26,24 @@ def as_iosystem(controller: Controller, name: str = "npred") -> Any:
     `controller.state()`: D_hat, phi, the commands within the longest delay, the observers of the delay. A state of
     zeros, python-control's default, is the one that the controller has now. The block has no gate: it believes each X.
 
-    Returns the block, whose step raises DivergedError for a measurement that is not finite.
-    Raises ConfigError for what is no controller; MissingError without the extra `control`.
+    Parameters
+    ----------
+    controller : Controller
+        From npred.controller.
+    name : str, default "npred"
+        Name of the block.
+
+    Returns
+    -------
+    Any
+        The block, whose step raises DivergedError for a measurement that is not finite.
+
+    Raises
+    ------
+    ConfigError
+        For what is no controller.
+    MissingError
+        Without the extra `control`.
     """
     control = required("as_iosystem", "control", "control", "control")
     if not isinstance(controller, Controller):

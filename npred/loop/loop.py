@@ -23,36 +23,33 @@ PERFECT = Measurement()
 class Loop:
     """X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14]: all parts of it.
 
-    The controller has `plant` as its model, `predictor`, `dt` (control step, in the plant's unit of time), `adaptation`
-    and `D_hat` (law and first value of the estimate), `input_bounds` (m, 2), `u0` (commands before t = 0), `actuator`
-    ("measured" or "history"), `observer`, `watchdog` and `safety`; `outlier_limit` and `max_sample_age` say which
-    samples it believes and uses, `history_length` how long it keeps its commands.
-
-    A simulation has a plant too, `truth`, with the delay `D`, the start `X0` (..., n), sensors (`measurement`), the
-    clock of the calls (`timing`), a `disturbance` of the input, a function of t, and an `integrator`.
+    The parts down to `history_length` are the controller's; those that follow are of the simulated plant, its sensors
+    and its clock. Times are in the plant's unit. What does not fit is refused where a loop runs or a controller is made.
     """
 
-    plant: Plant
-    predictor: Predictor | None
-    dt: float = 0.005
-    adaptation: DelayLaw | None = None
-    D_hat: Any = None
-    input_bounds: Any = None
-    u0: Any = None
-    actuator: str = MEASURED
-    observer: Observer | None = None
-    watchdog: Watchdog | None = None
-    safety: SafetyFilter | None = None
-    outlier_limit: float | None = 1.0
-    max_sample_age: float | None = None
-    history_length: float | None = None
-    D: Any = None
-    X0: Any = None
-    measurement: Measurement = PERFECT
-    truth: Plant | None = None
-    disturbance: Callable[[float], Any] | None = None
-    timing: Timing | None = None
-    integrator: str = "rk4"
+    plant: Plant  #: the controller's model, from npred.plant
+    predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
+    dt: float = 0.005  #: control step; U is held over it
+    adaptation: DelayLaw | None = None  #: law of the estimate D_hat; None freezes it
+    D_hat: Any = None  #: first estimate of the delay, (...)
+    input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
+    u0: Any = (
+        None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa of X0), rows (k, m), a function of t
+    )
+    actuator: str = MEASURED  #: "measured": u is; "history": u is read at D_hat from the controller's commands
+    observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
+    watchdog: Watchdog | None = None  #: says what U is where no sample comes
+    safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
+    outlier_limit: float | None = 1.0  #: samples further from the model than this times half the box are not believed
+    max_sample_age: float | None = None  #: largest age of a sample that is used; by default 20 control steps
+    history_length: float | None = None  #: how long commands are kept; by default the largest D_hat
+    D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest
+    X0: Any = None  #: states at t = 0, (..., n)
+    measurement: Measurement = PERFECT  #: what the controller sees of X
+    truth: Plant | None = None  #: the simulated plant, if it is not the controller's model
+    disturbance: Callable[[float], Any] | None = None  #: added to the plant's input, (m,) or (..., m), by the time
+    timing: Timing | None = None  #: clock of the calls and commands
+    integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
 
     @property
     def real(self) -> Plant:

@@ -89,9 +89,9 @@ class Measurement(Sensors):
     `first` is the number of the first loop, where loops are part of a larger batch.
     """
 
-    seed: int = 0
-    observer: Observer | None = None
-    first: int = 0
+    seed: int = 0  #: seed of the noise, of gaps and of lost samples
+    observer: Observer | None = None  #: gives X_hat (B, n), of the last one, the sample Y, NaN without, U and t
+    first: int = 0  #: number of the batch's first loop in a larger batch: each has the noise that it has there
 
     def __post_init__(self) -> None:
         super().__post_init__()

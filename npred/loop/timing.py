@@ -52,7 +52,7 @@ class ControlClock:
 class Timing(ControlClock):
     """The clock of a control loop, with the seed of its random numbers, which are functions of loop and call too."""
 
-    seed: int = 0
+    seed: int = 0  #: seed of jitter, of lost commands and of skipped calls
 
     def __post_init__(self) -> None:
         super().__post_init__()

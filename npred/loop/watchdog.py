@@ -21,7 +21,20 @@ class Watchdog:
 
     Until then, and as long as the watchdog has U, the state is predicted by the model.
 
-    Raises ConfigError for a time, numbers or a word that make no sense.
+    Parameters
+    ----------
+    after : float, s
+        Age of the last used sample from which on it acts.
+    then : "hold", "zero", numbers (m,) or function (x, t, p, M), default "hold"
+        U, the last one, zeros, these numbers, or a law of the predicted state, as kappa is one; a law is compiled
+        and exported too.
+    jump : float or (m,), in the inputs' units, optional
+        How far an input moves in a call while it takes or returns U; by default any.
+
+    Raises
+    ------
+    ConfigError
+        For a time, numbers or a word that make no sense.
     """
 
     after: float

@@ -20,7 +20,24 @@ Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its 
 def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
     """The plant of a built-in name, of a file or of a class, with parameters overridden.
 
-    Raises ConfigError for a name, a file or a law that is not there, and for a class that declares no plant.
+    Parameters
+    ----------
+    name : str or class
+        A name that npred has, "my_plant.py:Tank", or the class.
+    kappa : function (x, t, p, M), or the name of a law of npred.laws, as "lqr", optional
+        Takes the place of its law.
+    **parameters : float
+        Values of the plant's parameters, by name.
+
+    Returns
+    -------
+    Plant
+        X'(t) = f(X(t), U(t - D)) with the control law kappa and the function V [DAPF, eqs. 1-4].
+
+    Raises
+    ------
+    ConfigError
+        For a name, a file or a law that is not there, and for a class that declares no plant.
     """
     return resolve(name, parameters, kappa)
 

@@ -27,9 +27,11 @@ class Plant(InNotebook):
     the equilibrium is searched from), `input_bounds` (a range per input), `state_bounds` (state to the range in which
     it stops, as if a wall were there), `delays` (seconds, one per input, where they differ), `mechanics` (M(q), force
     and damping of M q'' = force - damping q', for the method semi_implicit), what figures write: `labels` and `units`
-    (by state or input), `time_unit` ("s" by default) and `figure` (that of an article which the evaluated loop is), and, where f or kappa depends on time, `reference(t, p, M)`, the
-    trajectory that kappa follows, and `period`, the seconds after which they repeat. M provides the functions: sin,
-    exp, where … A law `kappa` that is passed takes the place of the declaration's.
+    (by state or input), `time_unit` ("s" by default) and `figure` (that of an article which the evaluated loop is),
+    and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and `period`, the
+    seconds after which they repeat. M provides the functions: sin, exp, where … A law `kappa` that is passed takes the
+    place of the declaration's.
+
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
 

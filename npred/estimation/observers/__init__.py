@@ -1,9 +1,5 @@
 """Observers of a state that is not measured, from what is: one file each behind one interface, that of `base`."""
 
-from npred.base.docstrings import documented
 from npred.estimation.observers.base import Observer as Observer
 from npred.estimation.observers.ekf import EKF as EKF
 from npred.estimation.observers.luenberger import Luenberger as Luenberger
-
-for public in (EKF, Luenberger):
-    documented(public)

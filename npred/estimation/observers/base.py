@@ -100,7 +100,7 @@ class Observer(ABC):
     @property
     @abstractmethod
     def correct(self) -> Kernel:
-        """family.CORRECT_BY of npred.prediction.delays: the memory corrected by a sample, and the sample's difference."""
+        """family.CORRECT_BY of npred.prediction.delays: the memory corrected by a sample, and the difference."""
 
     def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
         """Finite numbers (size,), or one for all. Raises ConfigError for others."""

@@ -32,8 +32,30 @@ class EKF(Observer):
     1 / T is the geometric mean of the rates of the loop of kappa without delay. d begins at 0. For a state without a
     range in the box, half of it is taken as 1, or as X0 where that is larger. Outputs: see Observer.
 
-    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state, and for settings that do
-    not fit.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    Q : float, (n,) or (n, n), X² / s, optional
+        Spectral density of w. By default the model is wrong by a tenth of f, which changes in the time T of the
+        loop: Q_ii = (f_i / 10)² T, with f_i the root of the mean square of f over the box.
+    R : float or (l,), squares of the outputs' units, optional
+        Variance of e; by default its deviation is 1 % of half the output's range.
+    offset : bool, float or (m,), U² / s, default False
+        Whether d is estimated, or the spectral density of v. With True d moves by a tenth of half the range that
+        kappa has over the box, in T.
+    X0 : (n,), optional
+        State to begin with; by default the middle of the box, and without a box the equilibrium or the reference at
+        t = 0.
+    P0 : float, (n,) or (n, n), squares of the states' units, optional
+        Variance of X0; by default its deviation is half the box.
+    outputs : list of str, optional
+        The measured states of a plant that declares no output; by default all.
+
+    Raises
+    ------
+    ConfigError
+        For a plant that is not traced, for outputs that do not tell the state, and for settings that do not fit.
     """
 
     def __init__(

@@ -32,8 +32,25 @@ class Luenberger(Observer):
     These are the spread that its gate knows, of an output less w. L is that of one point: where the plant is driven far
     from it, or samples are rare, take the EKF.
 
-    Raises ConfigError for a plant that is not traced, or without an operating point that tells all states at t = 0, and
-    for settings that do not fit.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    rate : float, 1/s, optional
+        How fast errors fade near the equilibrium; by default the geometric mean of the rates of the loop of kappa.
+    offset : bool, default False
+        Whether d is estimated.
+    X0 : (n,), optional
+        State to begin with; by default the middle of the box, and without a box the equilibrium or the reference at
+        t = 0.
+    outputs : list of str, optional
+        The measured states of a plant that declares no output; by default all.
+
+    Raises
+    ------
+    ConfigError
+        For a plant that is not traced, or without an operating point that tells all states at t = 0, and for
+        settings that do not fit.
     """
 
     pulls = True

@@ -41,8 +41,33 @@ def load(
     network of yours, torch does all. Files are verified against their digests. The plant is the pipeline's, or, for an
     artifact, the built-in one of that name: a plant's file is code and is run only when a pipeline names it.
 
-    Raises ConfigError for a model or a runtime that is not there; StoreError for corrupt results; MissingError for a
-    device or an extra that this machine lacks.
+    Parameters
+    ----------
+    model : "pipeline/paper.toml:deeponet", "…:deeponet@107", or the path or key of an artifact
+        The trained model.
+    store : str or Path, optional
+        Folder of results; by default NPRED_STORE, else artifacts/. What it has is not made again.
+    nx : int, default 101
+        Nodes on [0, 1], both ends included.
+    device : "auto", "cpu", "cuda" or "cuda:N", default "cpu"
+        Where networks run.
+    runtime : "torch", "fused", "onnx", one of a package, or a class of a file, "my_runtime.py:Mine", optional
+        What runs the network. By default a compiled function in float64 in loops, and torch for batches; fused is
+        in float32 and takes half the time.
+
+    Returns
+    -------
+    Predictor
+        P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
+
+    Raises
+    ------
+    ConfigError
+        For a model or a runtime that is not there.
+    StoreError
+        For corrupt results.
+    MissingError
+        For a device or an extra that this machine lacks.
     """
     if not isinstance(model, str | Path):
         raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")

@@ -110,8 +110,33 @@ def generate(
 ) -> MadeData:  # fmt: skip
     """Data to train on, from closed loops with a numerical predictor: `npred generate` from Python.
 
-    Raises ConfigError for a source that is not there and for settings that do not fit; DivergedError for a loop that
-    leaves the finite numbers; StoreError for corrupt results.
+    Parameters
+    ----------
+    source : str, Path, Pipeline or Plant
+        A pipeline, by its file or its name, or a plant, of npred.plant or as "my_plant.py:Tank", for which the
+        defaults hold. A name of both is the pipeline's.
+    settings : dict, optional
+        Keys of the pipeline, as those of --set, with their values: {"train.deeponet.epochs": 20}.
+    store : str or Path, optional
+        Folder of results; by default NPRED_STORE, else artifacts/. What it has is not made again.
+    jobs : int, optional
+        Processes and threads; by default all cores.
+    progress : bool, default True
+        Whether it shows more than warnings.
+
+    Returns
+    -------
+    MadeData
+        Rows of (X, u, D_hat) -> P from closed loops; `result` says how many there are, and which are held out.
+
+    Raises
+    ------
+    ConfigError
+        For a source that is not there and for settings that do not fit.
+    DivergedError
+        For a loop that leaves the finite numbers.
+    StoreError
+        For corrupt results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, "auto", progress)
     return MadeData(*run.bring(chosen, _remembered(source, settings), "generate"))
@@ -125,9 +150,39 @@ def train(
 
     An interrupted training goes on from its checkpoint. `network` of what it returns is a predictor.
 
-    Raises ConfigError for a source or a network that is not there and for settings that do not fit; MissingError for a
-    device or a package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError
-    for corrupt results.
+    Parameters
+    ----------
+    source : str, Path, Pipeline or Plant
+        A pipeline, by its file or its name, or a plant, of npred.plant or as "my_plant.py:Tank", for which the
+        defaults hold. A name of both is the pipeline's.
+    model : str, optional
+        The network, as "fno"; by default the first of the pipeline.
+    settings : dict, optional
+        Keys of the pipeline, as those of --set, with their values: {"train.deeponet.epochs": 20}.
+    store : str or Path, optional
+        Folder of results; by default NPRED_STORE, else artifacts/. What it has is not made again.
+    device : "auto", "cpu", "cuda" or "cuda:N", default "auto"
+        Where networks run.
+    jobs : int, optional
+        Processes and threads; by default all cores.
+    progress : bool, default True
+        Whether it shows more than warnings.
+
+    Returns
+    -------
+    MadeNetwork
+        A trained network; `result` has its errors on held-out rollouts.
+
+    Raises
+    ------
+    ConfigError
+        For a source or a network that is not there and for settings that do not fit.
+    MissingError
+        For a device or a package that is not there.
+    DivergedError
+        For a loop or a loss that leaves the finite numbers.
+    StoreError
+        For corrupt results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
     name = model or chosen.train.models[0]
@@ -146,9 +201,38 @@ def evaluate(
     What the store does not have is generated and trained first. `result.models` has the scores of each contender
     (npred.lab.config.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network.
 
-    Raises ConfigError for a source that is not there and for settings that do not fit; MissingError for a device or a
-    package that is not there; DivergedError for a loop or a loss that leaves the finite numbers; StoreError for corrupt
-    results.
+    Parameters
+    ----------
+    source : str, Path, Pipeline or Plant
+        A pipeline, by its file or its name, or a plant, of npred.plant or as "my_plant.py:Tank", for which the
+        defaults hold. A name of both is the pipeline's.
+    settings : dict, optional
+        Keys of the pipeline, as those of --set, with their values: {"train.deeponet.epochs": 20}.
+    store : str or Path, optional
+        Folder of results; by default NPRED_STORE, else artifacts/. What it has is not made again.
+    device : "auto", "cpu", "cuda" or "cuda:N", default "auto"
+        Where networks run.
+    jobs : int, optional
+        Processes and threads; by default all cores.
+    progress : bool, default True
+        Whether it shows more than warnings.
+
+    Returns
+    -------
+    Made
+        What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or
+        `run`.
+
+    Raises
+    ------
+    ConfigError
+        For a source that is not there and for settings that do not fit.
+    MissingError
+        For a device or a package that is not there.
+    DivergedError
+        For a loop or a loss that leaves the finite numbers.
+    StoreError
+        For corrupt results.
     """
     chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
     return Made(*run.bring(chosen, _remembered(source, settings), "evaluate"))

@@ -24,7 +24,24 @@ def method(spec: str, what: str = "predictor") -> type[Predictor]:
 def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
     """The numerical predictor of a plant, on nx nodes in a loop [DAPF, eq. 10].
 
-    Raises ConfigError for an unknown or broken method, for fewer than two nodes, or for what is no plant.
+    Parameters
+    ----------
+    method : "euler", "heun", "rk4", "picard", one of a package, or a class of a file, "my_method.py:Ralston"
+        The method.
+    plant : Plant
+        From npred.plant.
+    nx : int, default 101
+        Nodes on [0, 1], both ends included.
+
+    Returns
+    -------
+    Predictor
+        P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
+
+    Raises
+    ------
+    ConfigError
+        For an unknown or broken method, for fewer than two nodes, or for what is no plant.
     """
     require(plant)
     return numerical(method, plant, nx)

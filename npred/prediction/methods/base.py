@@ -26,8 +26,18 @@ class Predictor(InNotebook, ABC):
     Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). The u of one sample with one
     input may be (nx,). `t` (...) is the time at x = 0, of use to plants that depend on time. A predictor that you write
     is a subclass with `predict`.
-    Raises ConfigError where the shapes do not fit the plant, nx is below 2, a number is not finite or a delay is
-    negative.
+
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    nx : int, default 101
+        Nodes on [0, 1], both ends included.
+
+    Raises
+    ------
+    ConfigError
+        Where the shapes do not fit the plant, nx is below 2, a number is not finite or a delay is negative.
     """
 
     name: ClassVar[str] = "predictor"
@@ -87,7 +97,19 @@ class Predictor(InNotebook, ABC):
 
     @abstractmethod
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
-        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
+        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ().
+
+        Parameters
+        ----------
+        X : array (..., n), in the plant's units
+            States.
+        u : array (..., nx, m), in the plant's units
+            Inputs under way on the nodes of [0, 1]; (nx,) for one sample of one input.
+        D_hat : array (...), in the plant's unit of time
+            Estimate of the delay; None for a plant that declares it.
+        t : array (...), in the plant's unit of time
+            Times.
+        """
 
     def lanes(self) -> Callable[..., None]:
         """The same map on the loop's memory, lanes innermost: family.PREDICT of npred.prediction.delays, P in place."""

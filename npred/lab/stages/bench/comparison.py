@@ -77,7 +77,35 @@ def compare(
     steps. Calls are of one loop, as a compiled loop makes them, all predictors in turn. A loop has converged that ends
     within 1 % of the target. It takes about a second for each predictor.
 
-    Raises ConfigError as npred.simulate does, and where no sample is left.
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    predictors : list or dict of Predictor
+        A dict gives the names that the table shows.
+    X0 : array (..., n), in the plant's units
+        States at t = 0.
+    t_end : float, in the plant's unit of time
+        Length of the loops.
+    D : array (...) or function of t, in the plant's unit of time, optional
+        True delay, where inputs have several the longest. A function is a delay that drifts or jumps. None for a
+        plant that declares its delay.
+    D_hat : array (...), in the plant's unit of time, optional
+        Estimate of the delay; None for a plant that declares it.
+    dt : float, in the plant's unit of time, default 0.005
+        Control step; U is held over it.
+    **loop : see simulate
+        All other parameters of the loops.
+
+    Returns
+    -------
+    Comparison
+        A row for each predictor, and its `loops` by name, Trajectories each; `print` shows the table.
+
+    Raises
+    ------
+    ConfigError
+        As npred.simulate does, and where no sample is left.
     """
     require(plant)
     named = _named(predictors)

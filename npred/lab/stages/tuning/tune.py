@@ -105,8 +105,8 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
 
     The cost is the mean over the loops of [evaluate]'s cases and of all its scenarios, each from the same initial
     states, of time / T_0 + effort weight * E / (E + E_0): see npred.lab.stages.tuning.cost. There is something to gain
-    where the held-out cost falls by the share `margin` or more, and 95 % of its bootstrap over initial states is above 0.
-    Deterministic by the pipeline's seed, for any number of jobs. Raises ConfigError for what cannot be tuned.
+    where the held-out cost falls by the share `margin` or more, and 95 % of its bootstrap over initial states is above
+    0. Deterministic by the pipeline's seed, for any number of jobs. Raises ConfigError for what cannot be tuned.
     """
     table, console = pipeline.tune or Tune(), console or Console(quiet=True)
     ranges = Ranges.of(pipeline, plant, table)
