@@ -21,7 +21,7 @@ from npred.base.errors import ConfigError, StoreError
 from npred.lab import config
 from npred.lab.config import FNO, DeepONet
 from npred.lab.scheduler.models import load_model
-from npred.lab.scheduler.stage_registry import nodes
+from npred.lab.scheduler.plan import nodes
 from npred.lab.store import Store
 from npred.lab.training import operators
 

@@ -20,7 +20,7 @@ from npred.cli.options import Common, Planned, Work
 from npred.lab import config
 from npred.lab.config.results import Result
 from npred.lab.config.section import MOST
-from npred.lab.scheduler.stage_registry import STAGES
+from npred.lab.scheduler.plan import STAGES
 
 logger = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from result_samples import BENCHED, CROSSOVER, MAP, SCORES, TRAINED, evaluated, 
 from npred.base.errors import StoreError
 from npred.lab.config.results import Benched, Evaluated, Generated, Result, Trained
 from npred.lab.config.results.evaluate import Errors, Scores
-from npred.lab.scheduler.stage_registry import STAGES
+from npred.lab.scheduler.plan import STAGES
 
 EVALUATED = evaluated({"numerical": SCORES, "deeponet@7": SCORES | {"map": None}})
 

@@ -17,8 +17,8 @@ from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.cells import cells
 from npred.lab.scheduler.executors import Here
+from npred.lab.scheduler.plan import Planner
 from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import Planner
 from npred.lab.stages.generate import generate
 from npred.lab.store import Store
 from npred.lab.training.data import shards

@@ -13,7 +13,7 @@ from npred.lab import config
 from npred.lab.config import Training
 from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
-from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.store import Artifact, Store
 from npred.lab.training import operators
 from npred.plants import Plant

@@ -25,9 +25,9 @@ from npred.lab.config.results import Evaluated, Generated, Result, Trained
 from npred.lab.report.terminal import live_view
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler import executors
+from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import remember
 from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
 from npred.lab.store import Store
 from npred.plants import Plant
 from npred.prediction.methods import Predictor

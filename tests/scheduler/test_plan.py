@@ -3,7 +3,7 @@
 from conftest import settings_of
 
 from npred.lab import config
-from npred.lab.scheduler.stage_registry import nodes, usual
+from npred.lab.scheduler.plan import nodes, usual
 
 LAW = """
 from npred import DelayLaw
