@@ -1,4 +1,4 @@
-"""A pipeline file: one table per stage. Those of [generate] and [bench] are here, the longer ones in modules."""
+"""A pipeline file: one table per stage. Those of [generate], [bench] and [tune] are here."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,6 @@ from npred.lab.config.evaluate import Evaluate
 from npred.lab.config.loop import LoopTable
 from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
-from npred.lab.config.tune import Tune
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 
@@ -80,6 +79,32 @@ class Bench(Section):
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
     #: predictors in Python to compare with, `file.py:Class`; timed at batch 1
     baselines: list[Baseline] = []
+
+
+class Tune(Section):
+    """The search of `npred tune` in the loops of [evaluate].
+
+    gamma and b vary if a delay law adapts. A range with low > 0 has a logarithmic scale; low = high fixes the number.
+    """
+
+    #: parameters that vary: those of kappa, not of f; of kappa = "lqr" also Q and R, their diagonals, or one as Q.x
+    free: list[str] = []
+    #: by name, of Q and R times the present; by default gamma, b, Q, R: 1 % to 100 times, gains: a fifth to 5 times
+    bounds: dict[str, Span] = {}
+    starts: Count = 8  #: random initial states of the search
+    held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
+    evaluations: Count = 150  #: number of settings to try
+    effort: Delay = 0.1  #: weight of the control effort in the cost
+    margin: Annotated[float, Field(gt=0, lt=1, strict=True)] = (
+        0.05  #: smallest gain that counts, as a share of the cost
+    )
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Self:
+        for name in self.bounds:
+            if name not in (*self.free, "gamma", "b"):
+                raise ValueError(f"bounds: expected gamma, b or a name of free, got {name!r}; add it to free")
+        return self
 
 
 class _Tables(Section):

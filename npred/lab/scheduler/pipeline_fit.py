@@ -19,9 +19,8 @@ from npred.diagnosis.lyapunov import DECLARE
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
-from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario
-from npred.lab.config.conditions import Condition, condition
-from npred.lab.config.conditions.condition import observer
+from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
+from npred.lab.config.conditions import Condition
 from npred.loop import clocked, loop_checks
 from npred.loop.closed_loop import LANES
 from npred.loop.trajectories import Trajectories
@@ -73,7 +72,7 @@ class PipelineFit:
     def _adaptive(self, case: Case) -> AdaptiveLoops:
         """The loops of [evaluate], from its start and others of the box."""
         table = self.pipeline.evaluate
-        law = condition.adaptation(table, self.plant)
+        law = conditions.adaptation(table, self.plant)
         assert isinstance(law, DelayAdaptation)
         X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat0, *table.case_D_hat0}))
         X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == self.plant.n else X0
@@ -271,8 +270,8 @@ def parts(fit: PipelineFit) -> None:
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     tables = [*fit.loops.values(), *(fit.pipeline.evaluate.under(scenario) for scenario in fit.scenarios)]
     for loop in tables:
-        condition.adaptation(loop, fit.plant)
-        estimator = observer(loop, fit.plant)
+        conditions.adaptation(loop, fit.plant)
+        estimator = conditions.observer(loop, fit.plant)
         loop.measurement.check(fit.plant, estimator and len(estimator.outputs))
         if loop.timing or estimator:
             clocked.serves(fit.plant)

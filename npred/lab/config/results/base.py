@@ -1,6 +1,6 @@
 """The base class of results: the keys that a stage writes and no others, and null for a number that is not finite.
 
-And the results of the stages generate, train and report, which are short.
+And the results of the stages generate, train, report and identify and of `npred tune`, which are short.
 """
 
 import math
@@ -98,3 +98,57 @@ class Reported(Result):
 
     summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
     bytes: int  #: of the page
+
+
+class IdentifiedResult(Result):
+    """Delays and parameters from a recording. Times are in the plant's unit."""
+
+    plant: str  #: its name
+    inputs: list[str]  #: its inputs, in the order of D
+    D: list[float]  #: the delay of each input
+    interval: list[tuple[float, float]]  #: of each delay, 95 %
+    identifiable: list[bool]  #: whether the recording determines the delay
+    parameters: dict[str, float]  #: the estimated ones
+    parameter_intervals: dict[str, tuple[Number, Number]]  #: of each parameter, 95 %
+    #: rms error of predictions on the last quarter: `model`, `no_delay`, `first_order_lag`
+    held_back: dict[str, Number]
+    sentences: list[str]  #: the result in words
+    samples: int  #: number of output samples
+    period: float  #: the median time between two samples
+    windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = None  #: t, D, interval
+
+
+class TunedNumber(Result):
+    """A number of the loop that was free."""
+
+    name: str  #: gamma, b or a parameter of the plant
+    before: float  #: the pipeline's
+    after: float  #: that of the best cost on the training starts
+    low: float  #: lower end of its range
+    high: float  #: upper end
+
+
+class JudgedLoops(Result):
+    """Loops from the same starts under the same conditions, before and after."""
+
+    loops: int  #: how many
+    cost: tuple[Number, Number]  #: mean over the loops
+    settle_time: tuple[Number | None, Number | None]  #: mean of those that settle, in the plant's unit; null for none
+    unsettled: tuple[int, int]  #: how many do not settle
+
+
+class Tuned(Result):
+    """What was gained; pairs are before, after."""
+
+    pipeline: str  #: its name
+    plant: str  #: its name
+    numbers: list[TunedNumber]  #: that were free
+    training: JudgedLoops  #: from the starts of the search
+    held_out: JudgedLoops  #: from others
+    gain: float  #: 1 - cost after / cost before on the held-out starts
+    interval: tuple[float, float]  #: of the gain with 95 %: bootstrap over the held-out initial states, in pairs
+    margin: float  #: least gain that counts
+    gained: bool  #: the gain reaches the margin, and its interval is above 0
+    evaluations: int  #: settings that were tried
+    interrupted: bool  #: the search was ended before all were
+    sentence: str  #: the answer
