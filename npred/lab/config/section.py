@@ -19,12 +19,9 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-PerState = Delay | list[Delay]
-Bias = Number | list[Number]
+PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
-Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
-Half = Annotated[float, Field(ge=0, lt=0.5, strict=True)]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 
 

@@ -121,6 +121,7 @@ def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
 
 def _require(fit: PipelineFit, case: Case) -> None:
     """Raise ConfigError at the first question that is answered by no; these take no time."""
+    plant, pipeline = fit.plant, fit.pipeline
 
     def ask(name: str) -> None:
         answer = case.ask(next(question for question in diagnosis.QUESTIONS if question.name == name))
@@ -133,21 +134,34 @@ def _require(fit: PipelineFit, case: Case) -> None:
     ask("box")
     for stage, loop in fit.loops.items():
         for each in filter(None, (loop, getattr(loop, "bounded", None))):  # a range per input, an input before t = 0
-            inputs.configured(fit.plant, each.u0, each.input_bounds, stage)
+            inputs.configured(plant, each.u0, each.input_bounds, stage)
     for stage, loop in fit.loops.items():
-        if loop.adaptation != FROZEN and not fit.plant.declares_delay:
+        if loop.adaptation != FROZEN and not plant.declares_delay:
             delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
     clock(fit)
-    if case.takes_V and not fit.plant.declares_V:
-        raise ConfigError(f"{undeclared(fit.plant)}; {DECLARE}")
+    if case.takes_V and not plant.declares_V:
+        raise ConfigError(f"{undeclared(plant)}; {DECLARE}")
     ask("finite")
     ask("stability")
     if "evaluate" in fit.stages:
         ask("reference")
-    if "train" in fit.stages:
-        anchors(fit)
+    models = pipeline.train.models if "train" in fit.stages else []
+    at_rest = [name for name in models if pipeline.train.table(name).anchor == "equilibrium"]
+    if at_rest and not plant.rest:
+        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
+        what = f"expected a plant with an equilibrium, {plant.name} has none"
+        raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
     if "evaluate" in fit.stages:
-        radius(fit)
+        if not (plant.rests or plant.tracks):
+            what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
+            todo = "declare reference(t, p, M), what kappa follows"
+            raise ConfigError(f"evaluate: {what}; its loops have no radius: {todo}")
+        X0 = pipeline.evaluate.X0
+        if len(X0) != plant.n:
+            what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
+            raise ConfigError(f"evaluate.X0: {what}; give as many")
+        if not np.isfinite(X0).all():
+            raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
     parts(fit)
 
 
@@ -214,11 +228,16 @@ def room(fit: PipelineFit) -> None:
 def clock(fit: PipelineFit) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times.
 
-    Or it tells the time by the delay, which then has to rise or to fall for as long as loops run.
+    Or it tells the time by the delay D(t), which then has to rise or to fall for as long as loops run.
     """
     plant = fit.plant
     if plant.clocked and not plant.phased:
-        _tells_time(fit)
+        seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
+        steps = np.diff(plant.delay(np.zeros((TIMES, plant.n)), np.linspace(0.0, seconds, TIMES)))
+        if not ((steps > 0).all() or (steps < 0).all()):
+            span = plant.time_text(seconds)
+            what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
+            raise ConfigError(f"{plant.location('delay')}: {what}; declare period, after which it repeats")
     if plant.phase(0.0) is None or plant.period is None:
         return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
@@ -227,40 +246,6 @@ def clock(fit: PipelineFit) -> None:
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
         what = f"f and kappa expected to repeat after {plant.time_text(plant.period)}"
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
-
-
-def _tells_time(fit: PipelineFit) -> None:
-    """Raise ConfigError where the delay D(t) comes back to a value within the time of the pipeline's loops."""
-    seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
-    delays = fit.plant.delay(np.zeros((TIMES, fit.plant.n)), np.linspace(0.0, seconds, TIMES))
-    steps = np.diff(delays)
-    if not ((steps > 0).all() or (steps < 0).all()):
-        span = fit.plant.time_text(seconds)
-        what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
-        raise ConfigError(f"{fit.plant.location('delay')}: {what}; declare period, after which it repeats")
-
-
-def anchors(fit: PipelineFit) -> None:
-    """Whether there is an equilibrium for the networks that take it for their anchor."""
-    train = fit.pipeline.train
-    at_rest = [name for name in train.models if train.table(name).anchor == "equilibrium"]
-    if at_rest and not fit.plant.rest:
-        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
-        what = f"expected a plant with an equilibrium, {fit.plant.name} has none"
-        raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
-
-
-def radius(fit: PipelineFit) -> None:
-    """Whether the evaluated loops lead anywhere, from a start of the right size."""
-    plant, X0 = fit.plant, fit.pipeline.evaluate.X0
-    if not (plant.rests or plant.tracks):
-        what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
-        raise ConfigError(f"evaluate: {what}; its loops have no radius: declare reference(t, p, M), what kappa follows")
-    if len(X0) != plant.n:
-        what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
-        raise ConfigError(f"evaluate.X0: {what}; give as many")
-    if not np.isfinite(X0).all():
-        raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
 
 
 def parts(fit: PipelineFit) -> None:

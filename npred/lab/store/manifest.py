@@ -157,26 +157,9 @@ class Manifest(ManifestPart):
         return manifest
 
     @property
-    def made(self) -> float | None:
-        """The time when it was made, in seconds since 1970; None where the manifest does not tell."""
-        try:
-            return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
-        except (ValueError, OverflowError):
-            return None
-
-    @property
     def circumstances(self) -> dict[str, str | None]:
         """All that the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
         return {name: value for name, value in self.provenance.items() if name != MADE}
-
-    @property
-    def size(self) -> int:
-        """Bytes of payload."""
-        return sum(payload.size for payload in self.files.values())
-
-    def text(self) -> str:
-        """The JSON that `read` takes."""
-        return self.model_dump_json(indent=1) + "\n"
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
