@@ -19,7 +19,7 @@ from npred import cli, plants
 from npred.cli.options import Common, Planned, Work
 from npred.lab import config
 from npred.lab.config.results import Result
-from npred.lab.config.section import MOST
+from npred.lab.config.section import MOST, tables
 from npred.lab.scheduler.plan import STAGES
 
 logger = logging.getLogger(__name__)
@@ -163,7 +163,7 @@ def _result(path: str, model: type[Result], described: dict[type, str]) -> Itera
         yield from _result(section, kind, described)
 
 
-def _owner(model: type[BaseModel], name: str) -> type:
+def _owner(model: type, name: str) -> type:
     """The class that declares a field."""
     return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
 
@@ -192,7 +192,14 @@ def _few(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}: {len(names)}"
 
 
-def _table(heading: str, path: str, model: type[config.Section], described: set[type]) -> Iterator[str]:
+def _fields(model: type) -> dict[str, FieldInfo]:
+    """The keys of a table, or of a dataclass of the library in the place of one."""
+    if issubclass(model, BaseModel):
+        return model.model_fields
+    return {field.name: FieldInfo(annotation=field.type, default=field.default) for field in fields(model)}
+
+
+def _table(heading: str, path: str, model: type, described: set[type]) -> Iterator[str]:
     """A section for the keys that the model adds to a table in common or that have another default, and its tables."""
     if model in described:
         return
@@ -201,7 +208,7 @@ def _table(heading: str, path: str, model: type[config.Section], described: set[
     if common:
         yield from _table(*IN_COMMON[common], common, described)
     before = common.model_fields if common else {}
-    keys = {k: f for k, f in model.model_fields.items() if k not in before or f.default != before[k].default}
+    keys = {k: f for k, f in _fields(model).items() if k not in before or f.default != before[k].default}
     yield from ("", f"## {heading}", "", _words(model), "", "| key | type | default | meaning |", "|---|---|---|---|")
     for name, field in keys.items():
         if _inner(field) is None:
@@ -218,9 +225,9 @@ def _table(heading: str, path: str, model: type[config.Section], described: set[
         yield from _table("`[train.NAME]`", "train.NAME", config.Network, described)
 
 
-def _meaning(model: type[BaseModel], name: str) -> str:
+def _meaning(model: type, name: str) -> str:
     """What stands behind #: at a field, in the class that declares it, or the description that the field has."""
-    if (field := model.model_fields[name]).description:
+    if (field := _fields(model)[name]).description:
         return str(field.description)
     owner = _owner(model, name)
     comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
@@ -230,10 +237,9 @@ def _meaning(model: type[BaseModel], name: str) -> str:
     return meaning
 
 
-def _inner(field: FieldInfo) -> type[config.Section] | None:
+def _inner(field: FieldInfo) -> type | None:
     """The table that a key is, or may be."""
-    kinds = (field.annotation, *get_args(field.annotation)) if get_origin(field.annotation) is not list else ()
-    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, config.Section)), None)
+    return next(iter(tables(field.annotation) if get_origin(field.annotation) is not list else ()), None)
 
 
 def _words(model: type) -> str:
@@ -262,8 +268,10 @@ def _name(kind: Any) -> str:
         return {float: "number", int: "integer", str: "text", bool: "true or false", Any: "values"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
         return _limited(_name(inner[0]), kind.__metadata__)
-    if origin in (list, tuple, dict):
-        return {list: "list", tuple: "pair", dict: "table"}[origin] + " of " + _plural(_name(inner[-1]))
+    if origin in (list, Sequence, tuple, dict):
+        return (
+            {list: "list", Sequence: "list", tuple: "pair", dict: "table"}[origin] + " of " + _plural(_name(inner[-1]))
+        )
     if all(isinstance(part, str) for part in inner):
         return " · ".join(f"`{part}`" for part in inner)
     return " or ".join(text for text in map(_name, inner) if text)

@@ -1,9 +1,9 @@
 """A table of the pipeline file, and the types of its keys."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
@@ -62,6 +62,13 @@ def built(kind: type) -> BeforeValidator:
         return kind(**value)
 
     return BeforeValidator(build)
+
+
+def tables(kind: Any) -> list[type]:
+    """The tables in the type of a key: classes of this file, and dataclasses of the library."""
+    if isinstance(kind, type) and (is_dataclass(kind) or issubclass(kind, Section)):
+        return [kind]
+    return [table for part in get_args(kind) for table in tables(part)]
 
 
 class Section(BaseModel):
