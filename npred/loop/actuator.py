@@ -10,9 +10,6 @@ import numpy as np
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.inputs import Past
 
-ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
-SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
-
 
 def _kernel(name: str, arguments: str, which: int) -> Kernel:
     return made(name, arguments, skeleton("history.h"), {}, {"WHICH": which}, before=[skeleton("actuator.h")])

@@ -13,11 +13,12 @@ from npred.base.notebook import InNotebook
 from npred.estimation.delay_law import DelayLaw, part
 from npred.estimation.observers import Observer
 from npred.loop import engine, loop_checks, signals
-from npred.loop.actuator import ROUNDING, SNAP, history
+from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
 from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
 from npred.loop.status import Status
+from npred.loop.timing import ROUNDING, SNAP
 from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant

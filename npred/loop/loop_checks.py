@@ -8,10 +8,10 @@ import numpy as np
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
 from npred.estimation.delay_law import DelayLaw
-from npred.loop.actuator import ROUNDING
 from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
+from npred.loop.timing import ROUNDING
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method

@@ -8,9 +8,10 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.loop.actuator import ROUNDING, SNAP
 from npred.loop.measurement import Measurement
 
+ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
+SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
 GAP, DROP, CALL, OVERRUN, LOST = 2, 3, 5, 6, 7
 FIRST = np.uint64(0x9E3779B97F4A7C15)
