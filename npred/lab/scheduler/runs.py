@@ -84,8 +84,6 @@ class TrainResult(StageResult[Trained]):
         """The same for loops on nx nodes, on a device, in a runtime: see `npred.load`."""
         from npred.lab.scheduler.models import Stored, loaded
 
-        device = devices.resolve(device)
-        devices.require(device)
         name = self.result.model
         return loaded(Stored(self.folder, name, None, self.plant, self.pipeline.train.table(name)), nx, device, runtime)
 
