@@ -153,10 +153,8 @@ class Resolver(ABC):
             flat = leaves(asked)
             closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
             causes = changes(closest.manifest.question.config, asked) if closest else []
-            causes += [
-                f"upstream {source.node.name} will run ({source.reason})"
-                for source in sources if source.question and not source.artifact
-            ]  # fmt: skip
+            running = (source for source in sources if source.question and not source.artifact)
+            causes += [f"upstream {source.node.name} will run ({source.reason})" for source in running]
             steps[node.name] = Step(node, None, None, f"{'stale' if older else NEVER}: {sentence(causes)}")
         return list(steps.values())
 

@@ -130,15 +130,15 @@ class Manifest(ManifestPart):
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         sizes = sorted(_files(folder))
         files = {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sizes}
-        made = {MADE: datetime.now(UTC).isoformat(), "python": platform.python_version()}
-        machine = {"platform": platform.platform()} | versions() | arithmetic(device)
+        origin = {MADE: datetime.now(UTC).isoformat(), "python": platform.python_version()}
+        origin |= {"platform": platform.platform()} | versions() | arithmetic(device)
         fields = {
             "key": question.key,
             "question": question.model_dump(),
             "files": files,
             "digest": sha256(files),
             "pipeline": pipeline,
-            "provenance": made | machine,  # no part of the key or of the digest
+            "provenance": origin,  # no part of the key or of the digest
         }
         return cls.model_validate(fields | {"checksum": sha256(fields)})
 
