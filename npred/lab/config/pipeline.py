@@ -95,9 +95,8 @@ class Tune(Section):
     held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
     evaluations: Count = 150  #: number of settings to try
     effort: Delay = 0.1  #: weight of the control effort in the cost
-    margin: Annotated[float, Field(gt=0, lt=1, strict=True)] = (
-        0.05  #: smallest gain that counts, as a share of the cost
-    )
+    #: smallest gain that counts, as a share of the cost
+    margin: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.05
 
     @model_validator(mode="after")
     def _check_bounds(self) -> Self:
