@@ -76,7 +76,7 @@ def test_the_formats_that_read_text_need_no_package():
 def test_without_the_package_of_a_format_it_is_asked_for(table):
     suffixes = {"mcap": "mcap", "bag": "rosbag", "db3": "rosbag", "ulg": "ulog"}  # and the extra of each
     program = (
-        "import without_extras, pathlib\nfrom npred import errors, recordings\n"
+        "import without_extras, pathlib\nfrom npred.base import errors\nfrom npred.identification import recordings\n"
         f"for suffix in {list(suffixes)}:\n    path = pathlib.Path(f'log.{{suffix}}')\n    path.touch()\n"
         "    try:\n        recordings.columns(path)\n    except errors.MissingError as error:\n        print(error)\n"
         "print(recordings.columns(pathlib.Path('log.csv'))[0])\n"
