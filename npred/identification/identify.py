@@ -16,7 +16,7 @@ from npred.identification.estimate import estimate, parameters
 from npred.identification.fit import Prior, Problem
 from npred.identification.identified import Findings, Identified, Windows
 from npred.identification.log import Log, Segments, spread
-from npred.identification.model import MeasuredOutputs, RolloutModel
+from npred.identification.model import RolloutModel
 from npred.plants import Plant
 from npred.plants.base import require
 
@@ -240,7 +240,7 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
     least, most = ROWS
     count = int(np.clip(len(rows.t) / PARTS, max(least, 3 * plant.n), most))
     # An error grows by at most GROWTH in a segment, by the eigenvalues of f_X along the log.
-    X = MeasuredOutputs(RolloutModel(plant, ())).states(rows.Y[:: max(1, len(rows.t) // 50)])
+    X = model.measured_states(rows.Y[:: max(1, len(rows.t) // 50)])
     with np.errstate(all="ignore"):
         matrices = plant.jacobians(X, np.broadcast_to(np.median(rows.U, axis=0), (len(X), plant.m)))[0]
     finite = np.isfinite(matrices).all(axis=(1, 2))
