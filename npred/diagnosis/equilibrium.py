@@ -40,11 +40,6 @@ def equilibrium(case: Case) -> Verdict:
     return "yes", f"{case.state(X)}, with {values}"
 
 
-def exists(case: Case) -> bool:
-    """Whether the plant rests, and an equilibrium was not asked for in vain."""
-    return case.plant.rests and case.verdict("equilibrium") != "no"
-
-
 def stability(case: Case) -> Verdict:
     """Whether the loop of kappa without delay is stable: the eigenvalues of f_X + f_U kappa' at the equilibrium."""
     plant = case.plant

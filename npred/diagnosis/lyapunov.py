@@ -38,7 +38,18 @@ def falls(case: Case) -> Verdict:
     S = lyapunov(case.plant.linearised()[0])
     if not case.plant.declares_V:
         return lacks, f"{missing} one: {_offer(case, S, X)}"
-    rates = _along(case, X)
+    plant = case.plant
+    if plant.traced:  # the input is not clipped
+        trace, t = Trace(plant), 0.0
+        x = trace.vector("x", plant.n)
+        slope = programs.derivative([trace.V(x, t)], x, trace.f(x, trace.kappa(x, t), t))
+        rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))])
+        with np.errstate(all="ignore"):
+            rates = np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
+    else:  # central differences along the loop's velocity
+        velocity = plant.f(X, plant.kappa(X))
+        h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
+        rates = (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
     rising = ~(rates < 0)
     if not rising.any():
         return "yes", f"V' < 0 along the loop of kappa, at {len(X)} states of the box, towards rest and around it"
@@ -59,21 +70,6 @@ def _towards_rest(case: Case) -> np.ndarray:
     share = np.linspace(0.02, 1.0, len(X))[:, None]
     around = NEAR * np.ptp(X, axis=0) * np.random.default_rng(0).uniform(-1, 1, X.shape)
     return np.concatenate([X, rest + share * (X - rest), rest + around])
-
-
-def _along(case: Case, X: np.ndarray) -> np.ndarray:
-    """V' at the states X (B, n), the input not clipped, (B,)."""
-    plant = case.plant
-    if not plant.traced:  # central differences along the loop's velocity
-        velocity = plant.f(X, plant.kappa(X))
-        h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
-        return (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
-    trace, t = Trace(plant), 0.0
-    x = trace.vector("x", plant.n)
-    slope = programs.derivative([trace.V(x, t)], x, trace.f(x, trace.kappa(x, t), t))
-    rate = python(slope, [*names("x", plant.n), *names("p", len(plant.p))])
-    with np.errstate(all="ignore"):
-        return np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
 
 
 def _offered(case: Case, S: np.ndarray, X: np.ndarray) -> np.ndarray:

@@ -43,29 +43,30 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
 
 
 def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
-    """The plant of a built-in or installed name, of `file.py:Class` or of a class, with parameters overridden.
+    """The plant as `plant` makes it, its parameters in a table.
 
-    `kappa` is a law in place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
-    from f, as "lqr", or a table of such a name and what it takes: {"law": "pole_placement", "poles": [-1, -2]}.
-    Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
+    `kappa` may also be a table of a law's name and its arguments, {"law": "pole_placement", "poles": [-1, -2]}.
     """
+    spec = source = None  # a class of a script has neither
     if isinstance(name, type):
-        return controlled(make(name.__name__, name, parameters), kappa)
-    if not isinstance(name, str):
+        kind, declaration = name.__name__, name
+    elif not isinstance(name, str):
         raise ConfigError(f"plant: expected a name, my_plant.py:Tank or a class, got {name!r}; give one")
-    if registry.in_file(name):
+    elif registry.in_file(name):
         (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
-        plant = make(kind, declaration, parameters, source)
-        plant.spec = f"{path.absolute()}:{kind}"
-        return controlled(plant, kappa)
-    if name.endswith(".py"):
+        spec = f"{path.absolute()}:{kind}"
+    elif name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
-    declaration = _builtin().get(name) or registry.PLANTS.installed(name)
-    if declaration is None:
-        near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
-        raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
-    plant = make(name, declaration, parameters)
-    plant.spec = name
+    else:
+        kind = spec = name
+        declaration = _builtin().get(name) or registry.PLANTS.installed(name)
+        if declaration is None:
+            near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
+            raise ConfigError(
+                f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}"
+            )
+    plant = make(kind, declaration, parameters, source)
+    plant.spec = spec
     return controlled(plant, kappa)
 
 

@@ -43,7 +43,6 @@ class Plant(InNotebook):
         self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None,
         kappa: Callable[..., Any] | None = None,
     ):  # fmt: skip
-        declared.check_name(name)
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(name, declaration, kappa)
         self.declared, self.law = declaration, kappa  # what the author wrote, and the law in place of theirs
@@ -202,9 +201,20 @@ class Plant(InNotebook):
             raise ConfigError(
                 f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
             )
-        X, residual, converged = _root(self._at_rest, self.guess)
-        if not converged:
-            left = source_lines.values([f"{name}'" for name in self.states], residual)
+        X = self.guess.copy()
+        g, J = self._at_rest(X)
+        for _ in range(100):
+            if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
+                break
+            step, scale = np.linalg.solve(J, g), 1.0  # which is halved while the residual grows
+            while scale > 1e-8 and not np.linalg.norm(self._at_rest(X - scale * step)[0]) <= np.linalg.norm(g):
+                scale /= 2
+            if scale <= 1e-8 or np.array_equal(X - scale * step, X):
+                break
+            X = X - scale * step
+            g, J = self._at_rest(X)
+        if not np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))):
+            left = source_lines.values([f"{name}'" for name in self.states], g)
             raise ConfigError(
                 f"{self.location('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
                 "let kappa hold a point where f vanishes, or give a `guess` closer to one"
@@ -394,28 +404,6 @@ class Plant(InNotebook):
             inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
             outputs = [*np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))]
         return "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
-
-
-def _root(
-    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], guess: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """X by Newton's method, the residual there, and whether it is a root; `residual` gives value and Jacobian.
-
-    The step is halved while the residual grows; ends when a step no longer changes X.
-    """
-    X = guess.copy()
-    g, J = residual(X)
-    for _ in range(100):
-        if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
-            break
-        step, scale = np.linalg.solve(J, g), 1.0
-        while scale > 1e-8 and not np.linalg.norm(residual(X - scale * step)[0]) <= np.linalg.norm(g):
-            scale /= 2
-        if scale <= 1e-8 or np.array_equal(X - scale * step, X):
-            break
-        X = X - scale * step
-        g, J = residual(X)
-    return X, g, bool(np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))))
 
 
 def require(plant: object) -> None:
