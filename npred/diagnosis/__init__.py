@@ -1,7 +1,7 @@
 """The check of a plant, one answer per question, before an hour of rollouts and training."""
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -70,7 +70,7 @@ def answers(case: Case) -> list[Answer]:
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
         advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'
-        offers = [offer(name, plant, case) for name in LAWS.names() if not _takes_more(name)]
+        offers = [offer(name, plant, case) for name in _designed_from_f()]
         return [Answer("kappa", "no", f"{missing}, {advice}"), *offers]
     for question in QUESTIONS:
         if case.verdict("trace") != "no":
@@ -106,8 +106,8 @@ def longest(plant: Plant, experiment: PlannedExperiment | None = None) -> tuple[
 def instead(plant: Plant, case: Case) -> Answer:
     """The first other law that is designed from f alone and converges from half the box, or that no such law does."""
     tried, faults = [], {"warn": "does not converge from half the box", "no": "does not fit the plant"}
-    for name in LAWS.names():
-        if name != plant.law_table["law"] and not _takes_more(name):
+    for name in _designed_from_f():
+        if name != plant.law_table["law"]:
             answer = offer(name, plant, case)
             if answer.verdict == "yes":
                 return Answer("other law", "yes", f"{name}: {answer.text}")
@@ -123,10 +123,12 @@ def offer(name: str, plant: Plant, case: Case) -> Answer:
         return Answer(name, "no", str(fault))
 
 
-def _takes_more(name: str) -> bool:
-    """True if a law takes more than the plant, as poles."""
-    parameters = inspect.signature(LAWS.load("kappa", name)).parameters.values()
-    return sum(parameter.default is parameter.empty for parameter in parameters) > 1
+def _designed_from_f() -> Iterator[str]:
+    """The laws that take no more than the plant, as poles."""
+    for name in LAWS.names():
+        parameters = inspect.signature(LAWS.load("kappa", name)).parameters.values()
+        if sum(parameter.default is parameter.empty for parameter in parameters) <= 1:
+            yield name
 
 
 def converging(name: str, case: Case) -> Answer:

@@ -194,18 +194,17 @@ def recorded(
     names = recordings.columns(path)
     unmeasured = [name for name in plant.outputs if every[name] not in names and name not in columns]
     if len(unmeasured) == len(plant.outputs):
-        raise ConfigError(
-            f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(names)}; map one by "
-            f"columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
-        )
+        cure = f"map one by columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
+        one = f"a column for one of {', '.join(plant.outputs)}"
+        raise ConfigError(f"{path}: expected {one}, found {', '.join(names)}; {cure}")
     chosen = {name: column for name, column in every.items() if name not in unmeasured}
     for key in (*scale, *shift):
         if key not in chosen.values():
             raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
     series = recordings.read(path, list(chosen.values()), time, time_unit)
-    in_units = {
-        name: (series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)) for name, c in chosen.items()
-    }
+    in_units = {}
+    for name, c in chosen.items():
+        in_units[name] = series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)
     return Log.of_series([in_units[name] for name in plant.inputs], [in_units.get(name) for name in plant.outputs])
 
 

@@ -128,10 +128,8 @@ def riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple
         singular = np.linalg.svd(pencil, compute_uv=False)
         if rate.real >= -SAME * scale and singular[-1] <= SAME * singular[0]:
             shown = f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "")
-            raise ConfigError(
-                f"expected a linearisation that its inputs stabilise, got the rate {shown}, which they do not move; "
-                "write kappa(x, t, p, M)"
-            )
+            got = f"got the rate {shown}, which they do not move; write kappa(x, t, p, M)"
+            raise ConfigError(f"expected a linearisation that its inputs stabilise, {got}")
     n, G = len(A), B @ np.linalg.solve(R, B.T)
     Z = np.block([[A, -G], [-Q, -A.T]])
     try:

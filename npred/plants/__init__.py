@@ -62,9 +62,8 @@ def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa
         declaration = _builtin().get(name) or registry.PLANTS.installed(name)
         if declaration is None:
             near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
-            raise ConfigError(
-                f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}"
-            )
+            any_of = f"one of {', '.join(names())}, or a file as my_plant.py:Tank"
+            raise ConfigError(f"plant {name!r}: expected {any_of}{near}")
     plant = make(kind, declaration, parameters, source)
     plant.spec = spec
     return controlled(plant, kappa)

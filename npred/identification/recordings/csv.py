@@ -27,7 +27,16 @@ class Csv:
     """A table; `names` are those of its columns, `units` what the header has in brackets behind some of them."""
 
     def __init__(self, path: Path) -> None:
-        self.path, lines = path, _lines(path)
+        self.path = path
+        try:
+            content = json_files.regular(path).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{path}: expected a table of text, got: {error.strerror}; check the path") from None
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+        lines = list(io.StringIO(text, newline=""))
         begin, separator, self.cells = self._header(lines)
         self.comma = separator != ","
         units = [UNIT.fullmatch(cell) for cell in self.cells]
@@ -129,18 +138,6 @@ class Csv:
 
     def _fault(self, line: int, expected: str, got: object) -> ConfigError:
         return ConfigError(f"{self.path}:{line}: expected {expected}, got {str(got)[:60]!r}; edit that line")
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        content = json_files.regular(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: expected a table of text, got: {error.strerror}; check the path") from None
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    return list(io.StringIO(text, newline=""))
 
 
 def _cells(line: str, separator: str) -> list[str]:
