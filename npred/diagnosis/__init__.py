@@ -11,7 +11,7 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov
+from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -33,7 +33,7 @@ QUESTIONS = (
     Check("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
     Check("stability", equilibrium.stability, lambda case: case.plant.rests and case.verdict("equilibrium") != "no"),
     Check("reference", equilibrium.reference, lambda case: not case.plant.rests),
-    Check("V", lyapunov.falls, lyapunov.applies),
+    Check("V", equilibrium.V_falls, equilibrium.V_applies),
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
     Check("delay margin", delay_margin.bears, delay_margin.applies),
