@@ -15,6 +15,7 @@ from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 
 Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its name with what it takes
+Values = tuple[tuple[str, float], ...]  # parameters, each with its name
 
 
 def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
@@ -92,15 +93,13 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
 
 
 @lru_cache(maxsize=16)
-def varied(plant: Plant, parameters: tuple[tuple[str, float], ...]) -> Plant:
+def varied(plant: Plant, parameters: Values) -> Plant:
     """The plant with some of its parameters changed. Raises ConfigError for one that it does not have."""
     return type(plant)(plant.name, plant.declared, plant.parameters | dict(parameters), plant.source, plant.law)
 
 
 @lru_cache(maxsize=128)
-def restored(
-    spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None, kappa: Callable[..., Any] | None
-) -> Plant:
+def restored(spec: str, parameters: Values, digest: str | None, kappa: Callable[..., Any] | None) -> Plant:
     """The plant that was pickled by its name, one per process, for it keeps what is compiled.
 
     Raises ConfigError where it is not there, or its file has changed since.
@@ -113,9 +112,8 @@ def restored(
 
 @lru_cache(maxsize=128)
 def remade(
-    kind: type[Plant], name: str, declaration: type, parameters: tuple[tuple[str, float], ...],
-    kappa: Callable[..., Any] | None,
-) -> Plant:  # fmt: skip
+    kind: type[Plant], name: str, declaration: type, parameters: Values, kappa: Callable[..., Any] | None
+) -> Plant:
     """The plant that was pickled with its class, which Python could import; one per process."""
     return kind(name, declaration, dict(parameters), kappa=kappa)
 

@@ -56,7 +56,7 @@ def test_built_in_plants_have_no_answer_of_no(name):
         ("* M.sqrt(x.h)]\n\n    def k", "* M.sqrt(x.h) + x.h**3]\n\n    def k", "completeness", "py:10.: the open"),
         ("[u.U - p.", "[u.U - 900 * (x.h - 1) - p.", "stiffness", "= 9 with .* expected below 2; take 45. nodes or"),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_one_answer_of_no_with_its_line_and_cure(tank_file, old, new, question, words):
     answer = answers(plants.resolve(tank_file(old, new)))[question]
     assert answer.verdict == "no"
