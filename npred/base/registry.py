@@ -208,7 +208,7 @@ LAWS = Registry(  # kappa, designed from f
     "npred.laws",
     {
         "lqr": Entry("npred.laws.regulator:lqr", "LQR"),
-        "pole_placement": Entry("npred.laws.placement:pole_placement", "pole placement"),
+        "pole_placement": Entry("npred.laws.linearisation:pole_placement", "pole placement"),
         "feedback_linearisation": Entry("npred.laws.linearisation:feedback_linearisation", "feedback linearisation"),
         "sontag": Entry("npred.laws.universal:sontag", "Sontag's formula"),
     },

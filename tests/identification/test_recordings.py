@@ -42,7 +42,7 @@ def test_series_have_times_of_their_own_without_what_is_not_finite(table):
         ("log.csv", ["q"], "got 'q'; choose one of t, valve, level, empty"),
         ("log.csv", ["empty"], "log.csv: expected numbers in empty, got empty cells or NaN alone; name another column"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_read_is_one_line(table, name, names, words):
     for other in ("log.xyz", "log"):
         table.with_name(other).write_text("t,level\n0,1\n")

@@ -14,8 +14,7 @@ from npred.base.registry import NETWORKS
 from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
 from npred.diagnosis.case import SPAN
-from npred.diagnosis.equilibrium import SLIP, times
-from npred.diagnosis.lyapunov import DECLARE
+from npred.diagnosis.equilibrium import DECLARE, SLIP, times
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
