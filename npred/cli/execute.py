@@ -1,14 +1,17 @@
 """The commands that run stages."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Annotated
 
 from npred.base import devices
 from npred.base.errors import ConfigError, room_on_disk, unlisted
-from npred.cli.options import Work, writable_folder
+from npred.base.registry import declared_stage
+from npred.cli.options import Work, flag, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
+from npred.lab.report.figures.style import MEDIA
 from npred.lab.report.terminal.console import columns
 from npred.lab.report.terminal.run_log import Events
 from npred.lab.scheduler import executors
@@ -20,23 +23,44 @@ from npred.lab.scheduler.task import Outcome
 from npred.lab.store import short
 
 
-def everything(options: Work) -> None:
+def run(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
     _work(options, usual(options.config), ("evaluate", "bench"), closing=True)
 
 
-def stage(options: Work, stage_name: str, model: str | None = None, output: Path | None = None) -> None:
-    """One stage with what it needs upstream; `model` keeps one network of the train stage, `output` is a page's file.
+def stage_command(stage: str) -> Callable[..., None]:
+    """The command that runs one stage with what it needs upstream; of a stage per network, of one or of all."""
 
-    Raises ConfigError for a network that there is none of.
-    """
-    if model is not None and model not in (names := options.config.train.names):
-        raise ConfigError(unlisted("--model", model, names))
-    _work(options, [stage_name], (stage_name,), model, output)
+    def of_networks(
+        options: Work,
+        *,
+        model: Annotated[str | None, flag("A network, as deeponet; those of the pipeline by default.")] = None,
+    ) -> None:
+        if model is not None and model not in (names := options.config.train.names):
+            raise ConfigError(unlisted("--model", model, names))
+        _work(options, [stage], (stage,), model)
+
+    def of_all(options: Work) -> None:
+        _work(options, [stage], (stage,))
+
+    return of_networks if declared_stage(stage).per_network else of_all
 
 
-def could_pay(options: Work) -> None:
-    """Whether a network could pay for a pipeline's plant, or a plant; nothing is trained or stored."""
+def bench(
+    options: Work,
+    *,
+    no_networks: Annotated[
+        bool,
+        flag(
+            "Train none: say in seconds from the cost of f, of a plant as my_plant.py:Tank too, whether one could pay.",
+            "--no-networks",
+        ),
+    ] = False,
+) -> None:
+    """The stage, or without networks whether one could pay for a plant; then nothing is trained or stored."""
+    if not no_networks:
+        _work(options, ["bench"], ("bench",))
+        return
     from npred import plants
     from npred.lab import config
     from npred.lab.scheduler import runs
@@ -52,24 +76,30 @@ def could_pay(options: Work) -> None:
     options.show(measured.json_object(), lambda: without_networks.summary(measured, options.console.width))
 
 
-def report(options: Work, output: Path | None, medium: str | None) -> None:
+def report(
+    options: Work,
+    *,
+    output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
+    figures: Annotated[
+        str | None, flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA))
+    ] = None,
+) -> None:
     """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""
-    if medium is None or options.dry_run:
-        stage(options, "report", output=output)
+    if figures is None or options.dry_run:
+        _work(options, ["report"], ("report",), output=output)
         return
     from npred import plants
-    from npred.lab.report.figures.style import MEDIA
     from npred.lab.stages.report.report_data import PipelineResults
 
-    if medium not in MEDIA:
-        raise ConfigError(unlisted("--figures", medium, MEDIA))
-    default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
+    if figures not in MEDIA:
+        raise ConfigError(unlisted("--figures", figures, MEDIA))
+    default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{figures}")
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
     results = PipelineResults.read(options.config, plant, folders)
     with room_on_disk(folder):
-        files = write_figures(results, folder, MEDIA[medium])
+        files = write_figures(results, folder, MEDIA[figures])
         if output is None:
             sign(options, folder)
     document = {"folder": str(folder), "files": [file.name for file in files]}

@@ -5,15 +5,17 @@ import shutil
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from npred.base.errors import ConfigError
+from npred.cli.execute import bring
 from npred.cli.options import Work, argument, flag
-
-if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use for
-    from npred.lab.config import Pipeline
-    from npred.lab.config.results import IdentifiedResult
-    from npred.plants import Plant
+from npred.lab import config
+from npred.lab.config import Pipeline
+from npred.lab.config.results import IdentifiedResult
+from npred.lab.stages.identify.identify import PAGE
+from npred.lab.stages.report import toml_text
+from npred.plants import Plant
 
 MADE = "# made by npred identify"
 
@@ -56,10 +58,8 @@ class Recorded(Work):
         return Path(self.pipeline_name)
 
     @cached_property
-    def config(self) -> "Pipeline":
+    def config(self) -> Pipeline:
         """The pipeline of a recording: a plant, and the table [identify]."""
-        from npred.lab import config
-
         table: dict[str, Any] = {}
         if self.pipeline.suffix == ".toml":
             table = config.table(self.pipeline)
@@ -104,12 +104,14 @@ def _number(text: str) -> float:
         raise ConfigError(f"expected a number, got {text!r}; write one, as 0.01") from None
 
 
-def identify(options: Recorded, output: Path | None) -> None:
+def identify(
+    options: Recorded,
+    *,
+    output: Annotated[
+        Path | None, flag("The pipeline that is written; LOG's name with .toml, here, by default.", "-o", "--output")
+    ] = None,
+) -> None:
     """The answer of the stage; the page and the pipeline are written beside each other."""
-    from npred.cli.execute import bring
-    from npred.lab.config.results import IdentifiedResult
-    from npred.lab.stages.identify.identify import PAGE
-
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
     path = output or Path(f"{options.config.name}.toml")
@@ -126,10 +128,8 @@ def identify(options: Recorded, output: Path | None) -> None:
     options.show(result.json_object() | {"files": list(map(str, files))}, lambda: said)
 
 
-def _pipeline(options: Recorded, plant: "Plant", result: "IdentifiedResult", path: Path) -> Path:
+def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: Path) -> Path:
     """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    from npred.lab.stages.report import toml_text
-
     if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MADE):
         raise ConfigError(f"{path}: expected no such file, or one that npred identify made; name another by -o")
     longest = max(range(plant.m), key=lambda j: result.D[j])

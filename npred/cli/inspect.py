@@ -3,18 +3,21 @@
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
 from npred.base.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.base.json_files import escaped
 from npred.base.registry import RESOLVERS
-from npred.cli.options import Common, Planned, drawable
+from npred.cli.options import Common, Planned, argument, drawable, flag
 from npred.lab.scheduler.plan import Step
 from npred.lab.scheduler.reasons import changes, differences, flat
 from npred.lab.scheduler.stage_registry import STAGES, nodes, usual
 from npred.lab.store import Artifact, short
 
 
-def status(options: Planned, check: bool) -> None:
+def status(
+    options: Planned, *, check: Annotated[bool, flag("Read every file; exit 3 unless all is fresh.", "--check")] = False
+) -> None:
     """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
     steps = options.planner().plan(nodes(options.config, usual(options.config)))
     for step in steps if check else ():
@@ -28,7 +31,7 @@ def status(options: Planned, check: bool) -> None:
         raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
 
 
-def why(options: Planned, stage: str) -> None:
+def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.")]) -> None:
     """The reason of a stage, of a network, or of what an installed package brings: then no pipeline is read.
 
     Raises ConfigError for another name.
@@ -51,7 +54,13 @@ def _asked(options: Planned, stage: str) -> list[Step]:
     return asked
 
 
-def show(options: Common, reference: str | None) -> None:
+def show(
+    options: Common,
+    *,
+    reference: Annotated[
+        str | None, argument("STAGE/KEY", "A key, a stage or a network; the latest by default.")
+    ] = None,
+) -> None:
     """A result, verified: manifest and answer."""
     artifacts = [options.results.find(reference)] if reference else options.results.artifacts()
     if not artifacts:
@@ -64,9 +73,15 @@ def show(options: Common, reference: str | None) -> None:
         options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
 
 
-def ls(options: Common, shown: list[str]) -> None:
+def ls(
+    options: Common,
+    *,
+    shown: Annotated[
+        list[str] | None, flag("A setting as a column, as seed; repeatable.", "--show", word="KEY")
+    ] = None,
+) -> None:
     """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
-    artifacts, broken = options.results.survey()
+    shown, (artifacts, broken) = shown or [], options.results.survey()
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     by_key = {artifact.manifest.key: artifact for artifact in artifacts}
@@ -85,7 +100,12 @@ def ls(options: Common, shown: list[str]) -> None:
     options.show_table({"artifacts": entries}, header, rows)
 
 
-def diff(options: Common, a: str, b: str) -> None:
+def diff(
+    options: Common,
+    *,
+    a: Annotated[str, argument("A", "A result, as for show.")],
+    b: Annotated[str, argument("B", "Another.")],
+) -> None:
     """The differences of two results."""
     left, right = (options.results.find(reference).verify() for reference in (a, b))
     before, after = left.manifest, right.manifest
@@ -127,9 +147,21 @@ def plants(options: Common) -> None:
 
 
 def check(
-    options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "", figure: Path | None = None,
-    u0: str | None = None,
-) -> None:  # fmt: skip
+    options: Common,
+    *,
+    plant: Annotated[str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.")],
+    delay: Annotated[
+        float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
+    ] = None,
+    nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
+    kappa: Annotated[
+        str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
+    ] = "",
+    u0: Annotated[
+        str | None, flag("The input before t = 0: equilibrium, law or numbers, as [0.5].", word="VALUE")
+    ] = None,
+    figure: Annotated[Path | None, flag("A figure of the delay margin: SVG, PDF or PNG.", word="FILE")] = None,
+) -> None:
     """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
     and the text of that to be pasted; a `figure` of the delay margin; `u0` as in a pipeline. Raises UnmetError where an
     answer is no.

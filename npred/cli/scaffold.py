@@ -7,10 +7,10 @@ import tomllib
 from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from npred.base.errors import ConfigError
-from npred.cli.options import Common
+from npred.cli.options import Common, argument, flag
 from npred.lab.config import defaults
 
 if TYPE_CHECKING:
@@ -19,7 +19,17 @@ if TYPE_CHECKING:
 PLANT, PIPELINE = "plant.py.txt", "pipeline.toml.txt"
 
 
-def init(options: Common, name: str, source: str | None = None) -> None:
+def init(
+    options: Common,
+    *,
+    name: Annotated[str, argument("NAME", "The plant's name, as my_plant.")],
+    source: Annotated[
+        str | None,
+        flag(
+            "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.", "--from", word="PLANT"
+        ),
+    ] = None,
+) -> None:
     """Write NAME.py and NAME.toml here, from the plant `source` if there is one.
 
     Raises ConfigError for a name that Python refuses, where a file exists, and for a plant that there is none of.

@@ -8,14 +8,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
 
 from npred.base import devices
 from npred.base.errors import ConfigError, NpredError, room_on_disk, unlisted
 from npred.base.progress import counted
-from npred.cli.options import Running, writable_folder
+from npred.cli.options import Running, flag, writable_folder
 from npred.cli.report import free_path, sign
 from npred.lab.config.results import Benched, Evaluated, PredictorId, Trained, ranked
 from npred.lab.config.results.evaluate import Scores
@@ -57,7 +57,15 @@ Done = list[tuple[Cell, CellRun]]
 Table = list[dict[str, str | float | None]]
 
 
-def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
+def sweep(
+    options: Running,
+    *,
+    to: Annotated[str, flag("The last stage of each cell; bench for latencies.", word="STAGE")] = "evaluate",
+    output: Annotated[
+        Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
+    ] = None,
+    csv: Annotated[bool, flag("Print the table as CSV.", "--csv")] = False,
+) -> None:
     """Run the grid up to the stage `to`; table and figure go to the folder `output`, by default one of the pipeline's
     name, and with `csv` the table to stdout. Raises NpredError, once all the others are done, where a cell failed.
     """

@@ -2,11 +2,11 @@
 
 from os.path import relpath
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, writable
+from npred.cli.options import Planned, flag, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
@@ -21,7 +21,14 @@ from npred.plants import Plant
 MADE = "# made by npred tune"
 
 
-def tune(options: Planned, free: list[str], output: Path | None) -> None:
+def tune(
+    options: Planned,
+    *,
+    free: Annotated[
+        list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")
+    ] = None,
+    output: Annotated[Path | None, flag("A pipeline with the new numbers.", "-o", "--output", word="FILE")] = None,
+) -> None:
     """The answer as a table before -> after; with `output` a pipeline with the new numbers, where there is a gain.
 
     Raises ConfigError for a flag, or a file of somebody else.
@@ -29,7 +36,7 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
     tables = config.table(options.pipeline)
     for override in options.set or []:
         config.override(tables, override)
-    _free(tables, free)
+    _free(tables, free or [])
     pipeline = config.parse(tables, str(options.pipeline))
     if output and writable(output).exists() and not output.read_text("utf-8", "replace").startswith(MADE):
         raise ConfigError(f"{output}: expected no such file, or one that npred tune made; name another by -o")
@@ -49,10 +56,10 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
         options.show(result.json_object(), lambda: text)
 
 
-def _free(tables: dict[str, Any], flags: list[str]) -> None:
+def _free(tables: dict[str, Any], texts: list[str]) -> None:
     """Add NAME or NAME=LOW:HIGH to the table [tune]."""
-    for flag in flags:
-        name, sign, span = flag.partition("=")
+    for text in texts:
+        name, sign, span = text.partition("=")
         table = tables.setdefault("tune", {})
         if name not in (*LAW, *table.setdefault("free", [])):
             table["free"].append(name)
@@ -61,7 +68,7 @@ def _free(tables: dict[str, Any], flags: list[str]) -> None:
                 low, high = map(float, span.split(":"))
                 table.setdefault("bounds", {})[name] = [low, high]
         except ValueError:
-            raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {flag!r}; write k1=0.5:5, say") from None
+            raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {text!r}; write k1=0.5:5, say") from None
 
 
 def _table(result: Tuned, width: int | None) -> str:
