@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from npred import networks as runtimes
-from npred.base import randomness
-from npred.lab.config import FNO, DeepONet, Network, defaults
+from npred.base import defaults, randomness
+from npred.lab.config import FNO, DeepONet, Network
 from npred.lab.config import Training as Table
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.executors import Threads

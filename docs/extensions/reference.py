@@ -25,7 +25,7 @@ from npred.lab.scheduler.stage_registry import STAGES
 logger = logging.getLogger(__name__)
 
 IN_COMMON: dict[type[config.Section], tuple[str, str]] = {  # tables that others extend: a heading, and a path below it
-    config.Loop: ("Loops: `[generate]` and `[evaluate]`", "STAGE"),
+    config.LoopTable: ("Loops: `[generate]` and `[evaluate]`", "STAGE"),
     config.Training: ("Networks: every table `[train.NAME]`", "train.NAME"),
 }
 
@@ -206,7 +206,7 @@ def _table(heading: str, path: str, model: type[config.Section], described: set[
     for name, field in keys.items():
         if _inner(field) is None:
             yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(_meaning(model, name))} |"
-        elif field.default is None or issubclass(model, config.Loop):
+        elif field.default is None or issubclass(model, config.LoopTable):
             yield f"| `{name}` | table | | {_cell(_meaning(model, name))} |"
     for name, field in keys.items():
         if inner := _inner(field):

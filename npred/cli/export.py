@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import numpy as np
 
 from npred import exports, plants
-from npred.base import grid
+from npred.base import defaults, grid
 from npred.base.errors import ConfigError
 from npred.cli.options import Exporting, ExportingLoop, argument, flag, writable, writable_folder
 from npred.estimation.adaptation import DelayAdaptation
 from npred.exports import FORMATS, TrainedNetwork, WholeController
 from npred.guard.guarded import Guarded
 from npred.lab import config
-from npred.lab.config import Evaluate, defaults
+from npred.lab.config import Evaluate
 from npred.lab.config.conditions import condition
 from npred.lab.scheduler.models import load_model
 from npred.lab.training import operators

@@ -8,12 +8,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from npred.base import devices
+from npred.base import defaults, devices
 from npred.base.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.base.registry import RESOLVERS
 from npred.cli.options import Common, argument, flag
 from npred.lab import config
-from npred.lab.config import defaults
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.cells import cells
 from npred.lab.scheduler.retention import Kept, closure, remembered

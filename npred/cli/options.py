@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
+from npred.base import defaults
 from npred.base.errors import ConfigError
-from npred.lab.config import defaults
 from npred.lab.report.terminal.console import Console, columns
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for

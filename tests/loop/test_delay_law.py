@@ -167,8 +167,8 @@ def law(tmp_path: Path) -> str:
     return f"{tmp_path / 'my_law.py'}:Towards"
 
 
-def loop(**changes) -> config.Loop:
-    return config.Loop(**{"gamma": 2.0, "b": 0.5, "bounds": (0.2, 3.0)} | changes)
+def loop(**changes) -> config.LoopTable:
+    return config.LoopTable(**{"gamma": 2.0, "b": 0.5, "bounds": (0.2, 3.0)} | changes)
 
 
 def question(stage: str, adaptation: str | None) -> dict:

@@ -20,7 +20,7 @@ def test_a_process_with_another_plant_or_package_makes_nothing(tmp_path: Path, m
     path.write_text("plant = 'tank.py:Tank'\n[generate]\nrollouts = 2\nsamples = 4\n")
     planner = Planner(config.load(path), Store(tmp_path / "s"), "cpu")
     (node,), expected = nodes(planner.config, ["generate"]), packages()
-    task = Task(planner, planner.step(node, planner.question(node, {})), {}).located()
+    task = Task(planner, planner.step(node, planner.question(node, {})), {}).with_absolute_paths()
     monkeypatch.chdir("/")
     if change == "plant":
         tank.write_text(TANK.replace("u.q - x.h", "u.q - 2 * x.h"))

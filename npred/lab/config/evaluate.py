@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from npred.lab.config.loop import Clock, Disturbance, Limits, Loop, StateObserver
+from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, StateObserver
 from npred.lab.config.section import (
     Actuator,
     Bias,
@@ -92,7 +92,7 @@ class GuardTable(Section):
     by: Literal["auto", "shadow"] = "auto"  #: the method of the estimate; both are the same
 
 
-class Evaluate(Loop):
+class Evaluate(LoopTable):
     """Errors on held-out rows, the error |P(1, t) - X(t + D)| in loops, the loop of Fig. 1, cases (initial states x
     D_hat(0)) and a map D x D_hat(0).
     """

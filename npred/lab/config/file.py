@@ -11,10 +11,10 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
+from npred.base import defaults
 from npred.base.errors import ConfigError, similar
-from npred.lab.config import defaults
 from npred.lab.config.pipeline import Pipeline
-from npred.lab.config.section import Section, moved
+from npred.lab.config.section import Section, map_paths
 
 LONGEST = 2**20  # bytes of a pipeline file
 
@@ -37,7 +37,7 @@ def table(path: Path) -> dict[str, Any]:
     """The tables of a TOML file as they stand, the files that they name found from here. Raises as `load` does."""
     try:
         folder = path.parent if path.is_file() else Path()
-        return moved(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
+        return map_paths(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:

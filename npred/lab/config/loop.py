@@ -48,7 +48,7 @@ class Disturbance(Section):
     omega: Positive = 1.0  #: in rad/s
 
 
-class Loop(Section):
+class LoopTable(Section):
     """The settings of closed loops [DAPF, eqs. 6-14].
 
     With `adaptation = "frozen"` D_hat stays at its first value; start it at D for a known delay. For a plant that

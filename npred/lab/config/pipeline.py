@@ -9,7 +9,7 @@ from pydantic import Field, create_model, model_validator
 from npred.base import registry
 from npred.base.registry import METHODS
 from npred.lab.config.evaluate import Evaluate
-from npred.lab.config.loop import Loop
+from npred.lab.config.loop import LoopTable
 from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
 from npred.lab.config.tune import Tune
@@ -17,7 +17,7 @@ from npred.lab.config.tune import Tune
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 
 
-class Generate(Loop):
+class Generate(LoopTable):
     """Rollouts with the numerical predictor, and samples of them.
 
     A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat0. A share `redraw` of the
@@ -142,7 +142,7 @@ class _Tables(Section):
             paths[registry.split(path)[0].name if registry.in_file(path) else Path(path).name] = None
             return path
 
-        self.moved(collect)
+        self.map_paths(collect)
         return list(paths)
 
     @property
@@ -150,13 +150,13 @@ class _Tables(Section):
         """The numerical methods to compare: those that have a name, and those of files that it takes."""
         return list(dict.fromkeys([*METHODS.names(), self.generate.predictor, self.evaluate.predictor]))
 
-    def beside(self) -> Self:
+    def with_file_names(self) -> Self:
         """The same with each of its `files` in the current folder: so the same wherever they lie."""
-        return self.moved(lambda path: Path(path).name)
+        return self.map_paths(lambda path: Path(path).name)
 
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         """The same for a process elsewhere, where a relative path would be another file."""
-        return self.moved(lambda path: str(Path(path).absolute()))
+        return self.map_paths(lambda path: str(Path(path).absolute()))
 
 
 if TYPE_CHECKING:

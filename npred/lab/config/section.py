@@ -72,18 +72,18 @@ class Section(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
-    def moved(self, locate: Callable[[str], str]) -> Self:
+    def map_paths(self, locate: Callable[[str], str]) -> Self:
         """The same with `locate(path)` in each value that names a class of a file, or data."""
-        return self.model_copy(update={key: moved(value, locate, key) for key, value in self})
+        return self.model_copy(update={key: map_paths(value, locate, key) for key, value in self})
 
 
-def moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
+def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
     if isinstance(value, Section):
-        return value.moved(locate)
+        return value.map_paths(locate)
     if isinstance(value, dict):
-        return {name: moved(item, locate, name) for name, item in value.items()}
+        return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
-        return [moved(item, locate) for item in value]
+        return [map_paths(item, locate) for item in value]
     is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
     return locate(value) if is_path else value

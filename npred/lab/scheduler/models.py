@@ -7,10 +7,10 @@ import numpy as np
 
 from npred import networks as runtimes
 from npred import plants
-from npred.base import devices, progress
+from npred.base import defaults, devices, progress
 from npred.base.errors import ConfigError, unlisted
 from npred.lab import config
-from npred.lab.config import Training, defaults
+from npred.lab.config import Training
 from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
 from npred.lab.scheduler.stage_registry import Planner, nodes

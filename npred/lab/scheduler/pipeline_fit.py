@@ -19,7 +19,7 @@ from npred.diagnosis.lyapunov import DECLARE
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
-from npred.lab.config import FROZEN, PAPER, Loop, Pipeline, Scenario
+from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario
 from npred.lab.config.conditions import Condition, condition
 from npred.lab.config.conditions.condition import observer
 from npred.loop import clocked, loop_checks
@@ -47,7 +47,7 @@ class PipelineFit:
     stages: Collection[str] = STAGES
 
     @property
-    def loops(self) -> dict[str, Loop]:
+    def loops(self) -> dict[str, LoopTable]:
         """The tables of the stages that simulate."""
         return {stage: getattr(self.pipeline, stage) for stage in ("generate", "evaluate") if stage in self.stages}
 

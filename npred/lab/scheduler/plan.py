@@ -81,7 +81,7 @@ class Resolver(ABC):
         """The name of what its results are made for."""
 
     @abstractmethod
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
 
     @abstractmethod

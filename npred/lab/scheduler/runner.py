@@ -178,7 +178,7 @@ class _Graph:
                 step = planner.step(node, question)
             if step.artifact is None:
                 task, turn = Task(planner, step, inputs), (WHOLE.get(node.stage, 1), run.number, run.nodes.index(node))
-                heapq.heappush(self.queue, (*turn, task.located() if self.bar else task))
+                heapq.heappush(self.queue, (*turn, task.with_absolute_paths() if self.bar else task))
                 return
             if step.reason != UP_TO_DATE and not self.bar:
                 self.claim(step.artifact.manifest.key)

@@ -61,8 +61,8 @@ class Planner(Resolver):
 
         return plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
 
-    def located(self) -> Self:
-        return replace(self, config=self.config.located(), store=Store(self.store.root.absolute()))
+    def with_absolute_paths(self) -> Self:
+        return replace(self, config=self.config.with_absolute_paths(), store=Store(self.store.root.absolute()))
 
     def check(self, nodes: Iterable[Node]) -> None:
         """Raise ConfigError where these nodes ask for what the plant does not have."""

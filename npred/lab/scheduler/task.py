@@ -8,9 +8,9 @@ from functools import cache
 from typing import Self
 
 from npred.base import devices
+from npred.base.defaults import RESULT
 from npred.base.errors import ConfigError, NpredError, room_on_disk
 from npred.kernels import compiler
-from npred.lab.config.defaults import RESULT
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.executors import Here, Workers
 from npred.lab.scheduler.plan import Node, Resolver, Step
@@ -65,10 +65,10 @@ class Task:
         assert self.step.key is not None
         return self.step.key
 
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         """The same for a process elsewhere: see Resolver."""
         inputs = {name: replace(artifact, folder=artifact.folder.absolute()) for name, artifact in self.inputs.items()}
-        return replace(self, planner=self.planner.located(), inputs=inputs)
+        return replace(self, planner=self.planner.with_absolute_paths(), inputs=inputs)
 
     def outcome(self, console: Console, jobs: int, executor: Workers) -> Outcome:
         """The result, or the error that there was instead: nothing is raised but an interruption."""

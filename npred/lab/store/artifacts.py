@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from npred.base import json_files
+from npred.base.defaults import RESULT
 from npred.base.errors import ConfigError, StoreError, disk_is_full, similar
 from npred.base.registry import NETWORKS, STAGES
-from npred.lab.config.defaults import RESULT
 from npred.lab.store import claims
 from npred.lab.store.manifest import NAME, Manifest, Question, cure, short
 

@@ -13,8 +13,7 @@ from npred.base.registry import DELAY_LAWS, OBSERVERS
 from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer as StateObserver
-from npred.lab.config import FROZEN, Disturbance
-from npred.lab.config import Loop as LoopTable
+from npred.lab.config import FROZEN, Disturbance, LoopTable
 from npred.loop import closed_loop
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop

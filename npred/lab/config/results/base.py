@@ -11,8 +11,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
 
 from npred.base import json_files, notebook
+from npred.base.defaults import RESULT
 from npred.base.errors import StoreError
-from npred.lab.config.defaults import RESULT
 
 
 def _number(value: Any) -> Any:
