@@ -5,11 +5,11 @@ A page shows each panel by itself, as SVG in the colours of the page; a file for
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from npred.lab.report.figures.style import (
     Style,
     lettered,
     line_of,
+    log,
     medium,
 )
 
@@ -63,6 +64,28 @@ class Figure:
     caption: str
     panels: Sequence[Panel]
     legend: Sequence[LegendEntry] = ()
+
+
+def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **limits: Any) -> Callable[[Axes], None]:
+    """A function that draws lines (style, x, y), or bands (style, x, y, low) that are shaded down to `low`.
+
+    On a logarithmic side, "x" or "y", only what is positive and finite is drawn. `limits` are xlim and ylim.
+    """
+    lines = list(lines)
+
+    def shown(side: str, values: Any) -> Any:
+        values = np.asarray(values)
+        return np.where(np.isfinite(values) & (values > 0), values, np.nan) if side in logarithmic else values
+
+    def draw(axis: Axes) -> None:
+        for style, x, y, *lows in lines:
+            axis.plot(shown("x", x), shown("y", y), **style.line)
+            for low in lows:
+                axis.fill_between(x, shown("y", low), shown("y", y), color=style.colour, alpha=0.14, linewidth=0)
+        axis.set(xlabel=xlabel, **limits)
+        log(axis, *logarithmic)
+
+    return draw
 
 
 def legend(predictors: Sequence[PredictorId]) -> list[LegendEntry]:

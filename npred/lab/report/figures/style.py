@@ -41,8 +41,8 @@ ROLES = {
 }
 # A network's colours, trained and stopped early: in the registry's order, then of networks that are not built in, by
 # rank. Green and ink are the numerical methods'.
-BUILTIN = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
-OTHERS = (("crimson", "rose"), ("olive", "lime"))
+BUILTIN = (("blue", "sky"), ("orange", "amber"))
+OTHERS = (("crimson", "rose"), ("olive", "lime"), ("violet", "lilac"), ("brown", "sand"))
 # Dashes: of networks in turn, for one is drawn over another and over a solid line, each seen in the gaps of the next;
 # of those for whom no colour is left; of what stopped early.
 TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
@@ -69,7 +69,7 @@ class LineStyle:
         return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
 
 
-DOTTED: dict[str, Any] = {"color": ROLES["muted"][0], "linewidth": 1.2, "linestyle": (0, (1, 2))}  # theory, tolerances
+DOTTED = LineStyle("muted", (1, 2), 1.2)  # theory, tolerances, where a loop is to go
 
 
 def line_of(predictor: PredictorId) -> LineStyle:
@@ -178,11 +178,6 @@ def log(axis: Axes, *sides: str) -> None:
         chosen.set_minor_formatter(NullFormatter())
         if decades > 6:
             chosen.set_minor_locator(NullLocator())
-
-
-def positive(values: np.ndarray) -> np.ndarray:
-    """The values for a logarithmic side: NaN, which is not drawn, for all that are not positive and finite."""
-    return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
 def lettered(text: str) -> str:
