@@ -38,20 +38,17 @@ def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a
     """
     brought = map(RESOLVERS.installed, RESOLVERS.names())
     planners = [planner for module in brought for planner in module.planners(options.results, stage)]
-    asked = [step for planner in planners for step in planner.plan(planner.nodes())] or _asked(options, stage)
+    asked = [step for planner in planners for step in planner.plan(planner.nodes())]
+    if not asked and stage.endswith(".toml"):
+        raise ConfigError(f"why: expected a stage or a network, got a pipeline; write npred why train {stage}")
+    if not asked:
+        steps = options.planner().plan(nodes(options.config, usual(options.config)))
+        asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
+        if not asked:
+            names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
+            raise ConfigError(unlisted("why", stage, names))
     document = {"stages": [_step(step) for step in asked]}
     options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
-
-
-def _asked(options: Planned, stage: str) -> list[Step]:
-    if stage.endswith(".toml"):
-        raise ConfigError(f"why: expected a stage or a network, got a pipeline; write npred why train {stage}")
-    steps = options.planner().plan(nodes(options.config, usual(options.config)))
-    asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
-    if not asked:
-        names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
-        raise ConfigError(unlisted("why", stage, names))
-    return asked
 
 
 def show(
@@ -68,9 +65,17 @@ def show(
     artifact = artifacts[-1].verify()
     result = artifact.result()
     document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
-    options.show(document, lambda: _facts(artifact))
-    if not options.json:
-        options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
+    manifest = artifact.manifest
+    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
+    facts = [
+        f"{artifact.name}  {artifact.folder}",
+        *(f"  {name}  {file.size} bytes" for name, file in manifest.files.items()),
+        *(f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()),
+        *(f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)),
+        f"  made with {circumstances}",
+    ]
+    stage, width = manifest.question.stage, options.console.width
+    options.show(document, lambda: "\n".join([*facts, _summary(stage, result, width)]))
 
 
 def ls(
@@ -96,7 +101,14 @@ def ls(
         ]
         for a, s in zip(artifacts, settings, strict=True)
     ]  # fmt: skip
-    entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
+    entries = [
+        {
+            "stage": a.manifest.question.stage, "model": a.manifest.question.model, "key": a.manifest.key,
+            "pipeline": a.manifest.pipeline, "digest": a.manifest.digest, "bytes": a.size,
+            "folder": str(a.folder), "made": datetime.fromtimestamp(a.made, UTC).isoformat(), "settings": s,
+        }
+        for a, s in zip(artifacts, settings, strict=True)
+    ]  # fmt: skip
     options.show_table({"artifacts": entries}, header, rows)
 
 
@@ -111,7 +123,7 @@ def diff(
     before, after = left.manifest, right.manifest
     asked = differences(before.question, after.question)
     answered = changes(left.result(), right.result())
-    kinds = [_kind(left), _kind(right)]
+    kinds = [" ".join(filter(None, (each.question.stage, each.question.model))) for each in (before, after)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
     made_with = changes(before.circumstances, after.circumstances)
     names = sorted(name for name in before.files | after.files if before.files.get(name) != after.files.get(name))
@@ -124,25 +136,17 @@ def diff(
     options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made_with)]))
 
 
-def _kind(artifact: Artifact) -> str:
-    """Its stage, and its network if it has one."""
-    asked = artifact.manifest.question
-    return f"{asked.stage} {asked.model}" if asked.model else asked.stage
-
-
 def plants(options: Common) -> None:
     """The plants that are built in, and those of installed packages."""
     from npred.plants import named
 
-    listed = named()
-    for broken in (p for p in listed if "error" in p):
-        options.console.warn(broken["error"])
-    sound = [p for p in listed if "error" not in p]
-    parameters = [" ".join(f"{name}={value:g}" for name, value in p["parameters"].items()) for p in sound]
-    rows = [
-        [p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), values]
-        for p, values in zip(sound, parameters, strict=True)
-    ]
+    listed, rows = named(), []
+    for plant in listed:
+        if "error" in plant:
+            options.console.warn(plant["error"])
+            continue
+        parameters = " ".join(f"{name}={value:g}" for name, value in plant["parameters"].items())
+        rows.append([plant["name"], ", ".join(plant["states"]), ", ".join(plant["inputs"]), parameters])
     options.show_table({"plants": listed}, ["plant", "states", "inputs", "parameters"], rows)
 
 
@@ -198,33 +202,12 @@ def _step(step: Step) -> dict[str, object]:
     return {"stage": step.node.stage, "key": step.key, "state": step.state, **model, "reason": step.reason}
 
 
-def _entry(artifact: Artifact) -> dict[str, object]:
-    manifest, time_made = artifact.manifest, datetime.fromtimestamp(artifact.made, UTC).isoformat()
-    return {
-        "stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key,
-        "pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size,
-        "folder": str(artifact.folder), "made": time_made,
-    }  # fmt: skip
-
-
 def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:
     """A setting of the artifact or of what it was made from, as JSON."""
     asked = artifact.manifest.question
     value = flat(asked.config).get(key)
     sources = (by_key[source.key] for source in asked.inputs.values() if source.key in by_key)
     return value or next(filter(None, (_setting(source, key, by_key) for source in sources)), None)
-
-
-def _facts(artifact: Artifact) -> str:
-    manifest = artifact.manifest
-    lines = [
-        f"{artifact.name}  {artifact.folder}",
-        *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
-    ]
-    inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
-    settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
-    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
-    return "\n".join([*lines, *inputs, *settings, f"  made with {circumstances}"])
 
 
 def _summary(stage: str, result: dict[str, object], width: int | None = None) -> str:

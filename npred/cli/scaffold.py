@@ -16,7 +16,7 @@ from npred.cli.options import Common, argument, flag
 if TYPE_CHECKING:
     from npred.plants import Plant
 
-PLANT, PIPELINE = "plant.py.txt", "pipeline.toml.txt"
+TEMPLATES = ("plant.py.txt", "pipeline.toml.txt")
 
 
 def init(
@@ -42,8 +42,12 @@ def init(
     there = [str(path) for path in paths if path.exists()]
     if there:
         raise ConfigError(f"init: expected no {' or '.join(there)} here, found it; choose another name or move it")
-    fresh = _filled(PLANT, name, class_name), _filled(PIPELINE, name, class_name)
-    for path, text in zip(paths, _copies(source, name, class_name) if source else fresh, strict=True):
+    templates = files("npred.cli") / "templates"
+    fresh = [
+        (templates / template).read_text(encoding="utf-8").replace("NAME", name).replace("CLASS", class_name)
+        for template in TEMPLATES
+    ]
+    for path, text in zip(paths, _copies(source, name, class_name, fresh[1]) if source else fresh, strict=True):
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     spec = f"{name}.py:{class_name}"
@@ -51,12 +55,7 @@ def init(
     options.show({"plant": spec, "files": [str(path) for path in paths]}, lambda: todo)
 
 
-def _filled(template: str, name: str, class_name: str) -> str:
-    text = (files("npred.cli") / "templates" / template).read_text(encoding="utf-8")
-    return text.replace("NAME", name).replace("CLASS", class_name)
-
-
-def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
+def _copies(source: str, name: str, class_name: str, template: str) -> tuple[str, str]:
     """The plant's file with its class renamed, and a pipeline of the plant that is part of npred, else the template."""
     from npred import plants
 
@@ -66,7 +65,7 @@ def _copies(source: str, name: str, class_name: str) -> tuple[str, str]:
     names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
     toml = next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
     if toml is None:
-        return _renamed(source, plant, class_name), _fitted(_filled(PIPELINE, name, class_name), plant)
+        return _renamed(source, plant, class_name), _fitted(template, plant)
     toml = re.sub(r"^baselines = .*\n", "", toml, flags=re.MULTILINE)  # of files that lie beside that pipeline
     toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
     toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
