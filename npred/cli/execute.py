@@ -12,8 +12,7 @@ from npred.cli.options import Work, flag, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
 from npred.lab.report.figures.style import MEDIA
-from npred.lab.report.terminal.console import columns
-from npred.lab.report.terminal.run_log import Events
+from npred.lab.report.terminal.console import Events, columns
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.plan import Step
 from npred.lab.scheduler.retention import remember

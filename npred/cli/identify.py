@@ -69,13 +69,6 @@ class Recorded(Work):
         else:
             raise ConfigError(f"--plant: expected the plant of {self.pipeline}, got none; add --plant my_plant.py:Tank")
         table |= {"plant": self.plant} if self.plant else {}
-        table.setdefault("identify", {}).update(self._identify())
-        for override in self.set or []:
-            config.override(table, override)
-        return config.parse(table, str(self.pipeline))
-
-    def _identify(self) -> dict[str, object]:
-        """What the flags say of the table."""
         columns = _pairs(self.input, "--input NAME=COLUMN") | _pairs(self.state, "--state NAME=COLUMN")
         ranges = _pairs(self.bounds, "--bounds NAME=LOW:HIGH")
         named = {
@@ -86,7 +79,10 @@ class Recorded(Work):
             "shift": {key: _number(text) for key, text in _pairs(self.shift, "--shift COLUMN=NUMBER").items()},
             "bounds": {key: [_number(end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
-        return {key: value for key, value in named.items() if value}
+        table.setdefault("identify", {}).update({key: value for key, value in named.items() if value})
+        for override in self.set or []:
+            config.override(table, override)
+        return config.parse(table, str(self.pipeline))
 
 
 def _pairs(texts: list[str] | None, form: str) -> dict[str, str]:
