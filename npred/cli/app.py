@@ -60,28 +60,36 @@ app = typer.Typer(
 class LazyCommand(TyperCommand):
     """A command whose function, and so its flags, are there from the first question for them on."""
 
-    def __init__(self, load: Callable[[], Callable[..., None]], waits: str, **declared: Any) -> None:
+    def __init__(self, function: str | Callable[..., None], waits: str, **declared: Any) -> None:
         super().__init__(**declared)
-        self.load, self.waits = load, waits
+        self.function, self.waits = function, waits
         del self.params, self.callback
 
     def __getattr__(self, name: str) -> Any:
         if name not in ("params", "callback"):
             raise AttributeError(name)
-        loaded, alone = [], typer.Typer(add_completion=False, **LOOK)
-        if code := guarded(lambda: loaded.append(self.load()), Console()):
+        alone = typer.Typer(add_completion=False, **LOOK)
+
+        def load() -> None:
+            function: Any = self.function
+            if isinstance(function, str):
+                module, name, *names = function.split(":")
+                function = attribute(f"npred.cli.{module}:{name}")
+                function = function(*names) if names else function
+            alone.command()(with_flags(function, self.waits))
+
+        if code := guarded(load, Console()):
             raise typer.Exit(code)
-        alone.command()(with_flags(loaded[0], self.waits))
         command = typer.main.get_command(alone)
         self.params, self.callback = command.params, command.callback
         return getattr(self, name)
 
 
-def add(to: typer.Typer, name: str, load: str | Callable[[], Callable[..., None]], help: str, waits: str = "") -> None:
-    """Add a command: f(options, *, own parameters), which also takes the flags of its options class; module:function of
-    npred.cli, or what `load` gives. `waits` is what it says of itself where it takes some seconds.
+def add(to: typer.Typer, name: str, function: str | Callable[..., None], help: str, waits: str = "") -> None:
+    """Add a command: f(options, *, own parameters), which also takes the flags of its options class, or its place in
+    npred.cli: module:function, or module:function:argument where that makes the command. `waits` is what it says of
+    itself where it takes some seconds.
     """
-    function = partial(attribute, f"npred.cli.{load}") if isinstance(load, str) else load
     lazy: Any = partial(LazyCommand, function, waits)
     to.command(name, cls=lazy, help=help, short_help=" ".join(help.split()))(lambda: None)
 
@@ -146,14 +154,6 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
         console.close()
 
 
-def _of_stage(name: str) -> Callable[..., None]:
-    return attribute("npred.cli.execute:stage_command")(name)
-
-
-def _of_format(name: str) -> Callable[..., None]:
-    return attribute("npred.cli.export:format_command")(name)
-
-
 def _version(asked: bool) -> None:
     if asked:
         typer.echo(f"npred {npred.__version__}")
@@ -170,7 +170,7 @@ def _root(
 
 add(app, "run", "execute:run", "Run all stages in order; a result that is already in the store is reused.")
 for _name in STAGES:
-    add(app, _name, OF_STAGES.get(_name) or partial(_of_stage, _name), declared_stage(_name).help)
+    add(app, _name, OF_STAGES.get(_name, f"execute:stage_command:{_name}"), declared_stage(_name).help)
 for _name, _declared in OTHERS.items():
     add(app, _name, *_declared)
 
@@ -201,10 +201,10 @@ add(
 _export = typer.Typer(no_args_is_help=True, help="A controller or a trained network for another program.")
 app.add_typer(_export, name="export")
 for _name, _format in FORMATS.items():
-    add(_export, _name, partial(_of_format, _name), _format.help, WRITING)
+    add(_export, _name, f"export:format_command:{_name}", _format.help, WRITING)
 for _name in sorted(set(COMMANDS.names()) - {each.name for each in app.registered_commands}):
     try:
         _function = COMMANDS.installed(_name)
-        add(app, _name, partial(lambda function: function, _function), _function.__doc__)
+        add(app, _name, _function, _function.__doc__)
     except ConfigError as _error:  # a package that fails stops no other command
         Console().warn(str(_error))

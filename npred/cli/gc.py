@@ -30,13 +30,6 @@ class Waste(NamedTuple):
     reason: str
     checksum: str | None = None
 
-    def as_seen(self, path: Path) -> bool:
-        """True if the path is still what the plan was made for: a run may have put a new result there."""
-        try:
-            return Artifact.read(path).manifest.checksum == self.checksum
-        except StoreError:
-            return self.checksum is None
-
 
 def gc(
     options: Common,
@@ -74,7 +67,14 @@ def _delete(store: Store, plan: list[Waste]) -> list[Path]:
     """
 
     def deleted(waste: Waste) -> bool:
-        return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
+        def idle(path: Path) -> bool:  # and still what the plan was made for: a run may have put a new result there
+            try:
+                checksum = Artifact.read(path).manifest.checksum
+            except StoreError:
+                checksum = None
+            return path.name not in claims.in_use(store.root) and checksum == waste.checksum
+
+        return store.delete(waste.path, idle)
 
     paths, blocked = [], []
     for waste in plan:

@@ -9,15 +9,13 @@ from typing import Annotated, Any
 
 from npred.base.errors import ConfigError
 from npred.cli.execute import bring
-from npred.cli.options import Work, argument, flag
+from npred.cli.options import Work, argument, flag, rewritable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.stages.identify.identify import PAGE
 from npred.lab.stages.report import toml_text
 from npred.plants import Plant
-
-MADE = "# made by npred identify"
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,7 @@ def identify(
 
 def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: Path) -> Path:
     """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MADE):
-        raise ConfigError(f"{path}: expected no such file, or one that npred identify made; name another by -o")
+    made = rewritable(path, "identify")
     longest = max(range(plant.m), key=lambda j: result.D[j])
     D, (low, high) = result.D[longest], result.interval[longest]
     loop = {"D": float(f"{D:.6g}"), "bounds": [float(f"{end:.6g}") for end in (low, high)]}
@@ -142,7 +139,7 @@ def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: P
         "parameters": options.config.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters},
         "generate": loop, "evaluate": loop | {"X0": middle},
     }  # fmt: skip
-    head = f"{MADE} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
+    head = f"{made} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
     if plant.m > 1 and plant.one_delay:
         delays = ", ".join(f"{delay:.6g}" for delay in result.D)
         head += f"# The inputs have different delays: write delays = ({delays}) in the plant's class.\n"

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, flag, writable
+from npred.cli.options import Planned, flag, rewritable, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
@@ -17,8 +17,6 @@ from npred.lab.stages.report import toml_text
 from npred.lab.stages.tuning.cost import ALPHA, LAW, LqrWeights
 from npred.lab.stages.tuning.tune import tune as search
 from npred.plants import Plant
-
-MADE = "# made by npred tune"
 
 
 def tune(
@@ -38,15 +36,14 @@ def tune(
         config.override(tables, override)
     _free(tables, free or [])
     pipeline = config.parse(tables, str(options.pipeline))
-    if output and writable(output).exists() and not output.read_text("utf-8", "replace").startswith(MADE):
-        raise ConfigError(f"{output}: expected no such file, or one that npred tune made; name another by -o")
+    head = rewritable(writable(output), "tune") if output else ""
     planner = options.planner()
     with interruption.graceful("interrupted; the numbers are the best up to then"):
         result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
         text = _table(result, options.console.width)
         if output and result.gained:
             output.write_text(
-                f"{MADE} {options.pipeline.name}\n# {result.sentence}\n\n"
+                f"{head} {options.pipeline.name}\n# {result.sentence}\n\n"
                 + _pipeline(
                     map_paths(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result
                 ),

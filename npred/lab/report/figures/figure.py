@@ -147,6 +147,18 @@ def inline(panel: Panel, prefix: str) -> str:
 
     `prefix` makes its identifiers unique on the page.
     """
+
+    def shorter(number: re.Match[str]) -> str:
+        return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
+
+    def lowered(text: str) -> str:  # subscripts as spans below the line; what follows one comes back up
+        first, *parts = SUBSCRIPT.split(text)
+        spans = ""
+        for below, after in zip(parts[::2], parts[1::2], strict=True):
+            spans += f'<tspan font-size="72%" dy=".35em">{below}</tspan>'
+            spans += f'<tspan dy="-.252em">{after}</tspan>' if after else ""
+        return first + spans
+
     buffer = io.StringIO()
     with medium(SCREEN):
         canvas = _canvas(SCREEN.width, SCREEN.height)
@@ -159,25 +171,12 @@ def inline(panel: Panel, prefix: str) -> str:
     svg = re.sub(r'(?:xlink:)?(href="|url\()#', rf"\1#{prefix}-", svg)
     svg = re.sub(r"'DejaVu Sans'[^;\"]*", "inherit", svg)
     svg = re.sub("|".join(COLOURS), lambda colour: f"var(--{COLOURS[colour[0]]})", svg)
-    svg = re.sub(r'(?<= )(?:d|points|transform|x|y)="[^"]*"', _with_shorter_numbers, svg)
-    svg = re.sub(r"(<text[^>]*>)([^<]*)", lambda text: text[1] + _lowered(text[2]), svg)
+    numbers = re.compile(r'(?<= )(?:d|points|transform|x|y)="[^"]*"')
+    svg = numbers.sub(lambda part: re.sub(r"-?\d+\.\d+", shorter, part[0]), svg)
+    svg = re.sub(r"(<text[^>]*>)([^<]*)", lambda text: text[1] + lowered(text[2]), svg)
     words = {name: f'<{name} id="{prefix}-{name}">{escape(plain(text))}</{name}>'
              for name, text in (("title", panel.title), ("desc", panel.alt))}  # fmt: skip
     head, body = svg.split(">", 1)
     head = re.sub(r' (?:width|height|version|xmlns:xlink)="[^"]*"', "", head)  # the page gives it its size
     head += f' role="img" aria-labelledby="{prefix}-title {prefix}-desc"'
     return f"{head}>{words['title']}{words['desc']}{body}".strip()
-
-
-def _with_shorter_numbers(attribute: re.Match[str]) -> str:
-    return re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
-
-
-def _lowered(text: str) -> str:
-    """The subscripts of a text as spans below the line; what follows one comes back up."""
-    first, *parts = SUBSCRIPT.split(text)
-    spans = ""
-    for below, after in zip(parts[::2], parts[1::2], strict=True):
-        spans += f'<tspan font-size="72%" dy=".35em">{below}</tspan>'
-        spans += f'<tspan dy="-.252em">{after}</tspan>' if after else ""
-    return first + spans

@@ -34,7 +34,10 @@ def speed(rows: list[CallTimes]) -> Figure:
 
     def against_error(axis: Axes) -> None:
         for name, series in near.items():
-            style, best = styles[name], _unbeaten(series)
+            style, best = styles[name], list[CallTimes]()
+            for row in sorted(series, key=lambda row: (row.eps_sup, row.median_us)):
+                if not best or row.median_us < best[-1].median_us:  # so a line has no way back
+                    best.append(row)
             points = [row.eps_sup for row in series], [row.median_us for row in series]
             axis.plot(*points, style.marker, color=style.colour)
             line = replace(style, marker="").line
@@ -107,12 +110,3 @@ def _series(rows: Iterable[CallTimes]) -> dict[str, list[CallTimes]]:
         return order.index(name) if name in order else len(order), item[0]
 
     return dict(sorted(series.items(), key=rank))
-
-
-def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
-    """The rows that no other beats in error and time, by rising error: their times fall, so a line has no way back."""
-    best: list[CallTimes] = []
-    for row in sorted(rows, key=lambda row: (row.eps_sup, row.median_us)):
-        if not best or row.median_us < best[-1].median_us:
-            best.append(row)
-    return best

@@ -165,6 +165,9 @@ def log(axis: Axes, *sides: str) -> None:
     """Logarithmic sides with few ticks, as 10⁻³; for call after everything is drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+    def tick(value: float, digits: int) -> str:  # over less than a decade it may need more than one digit: 2.5
+        return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value, digits)
+
     axis.set(**{f"{side}scale": "log" for side in sides})
     for side in sides:
         low, high = getattr(axis, f"get_{side}lim")()
@@ -185,11 +188,6 @@ def lettered(text: str) -> str:
     import matplotlib
 
     return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
-
-
-def tick(value: float, digits: int = 2) -> str:
-    """A tick of a logarithmic side: over less than a decade it may need more than one digit, 2.5."""
-    return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value, digits)
 
 
 def power(value: float) -> str:
