@@ -22,10 +22,10 @@ from npred.plants import Plant
 OVER = "the time is over"
 END = "# end: "
 TAIL = 4096  # bytes of the log's end that the live view reads
-#: of a call: D_hat and its spread, how old the used sample is, samples refused so far, 1 where the watchdog has U; how
-#: late the call was, how long it took
+#: columns of a call: D_hat and its spread, how old the used sample is, samples refused so far, 1 where the watchdog has
+#: U; how late the call was, how long it took
 CALL = ("rig.D_hat", "rig.D_hat_spread", "rig.age", "rig.refused", "rig.handed_over", "rig.late", "rig.took")
-#: of a sample: its number, its arrival, and the delay by the stamps of the commands, its mean so far
+#: columns of a sample: its number, its arrival, and the delay by the stamps of the commands, its mean so far
 SAMPLE = ("rig.number", "rig.arrival", "rig.delay")
 
 
@@ -77,7 +77,7 @@ def distance(plant: Plant, samples: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
-    """What it says of a loop with that control step; times in seconds where no name says µs."""
+    """The numbers of a loop with that control step; times in seconds where no name says µs."""
     calls, samples = log.calls, log.samples
     number, late, far = samples["rig.number"], calls["rig.late"], distance(plant, samples)
     slots = np.round((calls["t"] - late) / dt)
@@ -96,7 +96,7 @@ def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
 
 
 def last_row(path: Path) -> str:
-    """What the last call in a log that grows says, in a line; empty before there is one."""
+    """The last call in a log that grows, in a line; empty before there is one."""
     if not path.exists():
         return ""
     with path.open("rb") as file:

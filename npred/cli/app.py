@@ -105,7 +105,7 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
 
     def call(context: typer.Context, **values: Any) -> None:
         common = options(**{field.name: values.pop(field.name) for field in shared})
-        if context.invoked_subcommand:  # of a group
+        if context.invoked_subcommand:  # a group of commands
             return
         sources = {p: context.get_parameter_source(str(p.name)) for p in context.command.params}
         written = [p for p, source in sources.items() if source and source.name == "COMMANDLINE"]
@@ -139,7 +139,7 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
         if interruption.interrupted() or isinstance(error, KeyboardInterrupt):
             interruption.say(console.error)
             return interruption.code()
-        if isinstance(error, ModuleNotFoundError):  # of a package of an extra, where nothing has said so before
+        if isinstance(error, ModuleNotFoundError):  # the package of an extra, where nothing has said so before
             error = missing("npred", error) or error
         if isinstance(error, NpredError):
             name, colon, rest = str(error).partition(":")

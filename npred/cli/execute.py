@@ -24,7 +24,7 @@ from npred.lab.store import short
 
 def run(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
-    _work(options, usual(options.config), ("evaluate", "bench"), closing=True)
+    _work(options, None)
 
 
 def stage_command(stage: str) -> Callable[..., None]:
@@ -37,10 +37,10 @@ def stage_command(stage: str) -> Callable[..., None]:
     ) -> None:
         if model is not None and model not in (names := options.config.train.names):
             raise ConfigError(unlisted("--model", model, names))
-        _work(options, [stage], (stage,), model)
+        _work(options, stage, model)
 
     def of_all(options: Work) -> None:
-        _work(options, [stage], (stage,))
+        _work(options, stage)
 
     return of_networks if declared_stage(stage).per_network else of_all
 
@@ -58,7 +58,7 @@ def bench(
 ) -> None:
     """The stage, or without networks whether one could pay for a plant; then nothing is trained or stored."""
     if not no_networks:
-        _work(options, ["bench"], ("bench",))
+        _work(options, "bench")
         return
     from npred import plants
     from npred.lab import config
@@ -85,7 +85,7 @@ def report(
 ) -> None:
     """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""
     if figures is None or options.dry_run:
-        _work(options, ["report"], ("report",), output=output)
+        _work(options, "report", output=output)
         return
     from npred import plants
     from npred.lab.stages.report.report_data import PipelineResults
@@ -127,16 +127,15 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
     return outcomes
 
 
-def _work(
-    options: Work, targets: list[str], answering: tuple[str, ...], model: str | None = None, output: Path | None = None,
-    closing: bool = False,
-) -> None:  # fmt: skip
+def _work(options: Work, stage: str | None, model: str | None = None, output: Path | None = None) -> None:
+    """Run a stage, or without one all, and say what came out."""
+    targets = [stage] if stage else usual(options.config)
     if options.dry_run:
         steps = _planner(options, targets).plan(nodes(options.config, targets, model))
         options.show(_document(steps, None), lambda: _table(options, steps))
         return
     outcomes = bring(options, targets, model)
-    final = [outcome for outcome in outcomes if outcome.node.stage in answering]
+    final = [outcome for outcome in outcomes if outcome.node.stage in ([stage] if stage else ["evaluate", "bench"])]
     page = publish(options, outcomes, output)
     if options.json:
         result: dict[str, object] = {}
@@ -146,8 +145,14 @@ def _work(
         options.console.json(_document(outcomes, result) | ({"report": str(page)} if page else {}))
         return
     lines = [_table(options, outcomes)] if options.wide else []
-    if closing and not options.wide:
-        lines.append(_closing(options, outcomes))
+    if stage is None and not options.wide:  # the report's sentences, and a table of the predictors
+        from npred.lab.stages.bench import timing_tables
+        from npred.lab.stages.report import tables
+
+        folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
+        times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
+        table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
+        lines.append("\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n")
     else:
         for outcome in final:
             artifact = outcome.artifact
@@ -157,7 +162,7 @@ def _work(
 
 
 def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planner:
-    """What is asked for is timed here; what only draws times, a report, takes those that there are."""
+    """A stage that is asked for is timed here; a report, which only draws times, takes those that there are."""
     planner = options.planner(frozenset(targets) if options.force else frozenset(), borrows or "bench" not in targets)
     devices.require(planner.device)
     return planner
@@ -178,14 +183,3 @@ def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
     if options.dry_run:  # a plan has taken no time
         head, rows = [*head[:3], head[4]], [[*row[:3], row[4]] for row in rows]
     return columns(head, rows, options.console.width)
-
-
-def _closing(options: Work, outcomes: list[Outcome]) -> str:
-    """The summary of a whole run: the report's sentences, and a table of the predictors."""
-    from npred.lab.stages.bench import timing_tables
-    from npred.lab.stages.report import tables
-
-    folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
-    times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
-    table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
-    return "\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n"

@@ -127,7 +127,7 @@ def diff(
     folders = {"a": str(left.folder), "b": str(right.folder)}
     made_with = changes(before.circumstances, after.circumstances)
     names = sorted(name for name in before.files | after.files if before.files.get(name) != after.files.get(name))
-    files = [] if asked or kinds[0] != kinds[1] else names  # of two answers to one question
+    files = [] if asked or kinds[0] != kinds[1] else names  # two answers to one question
     answer = {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made_with}
     document = folders | answer
     across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []

@@ -25,7 +25,7 @@ SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline fil
 PLACE = "<!-- made from -->"  # in the header of that page, which knows neither files nor flags
 OWNER = re.compile('<p class="about" data-pipeline="([^"]*)">')
 HEAD = 2**16  # bytes of a page that its header is in
-FORMATS = ("pdf", "svg", "png")  # of each figure
+FORMATS = ("pdf", "svg", "png")  # formats of each figure
 
 
 def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:

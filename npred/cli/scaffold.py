@@ -7,14 +7,12 @@ import tomllib
 from importlib.resources import files
 from keyword import iskeyword
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from npred.base import defaults
+from npred import plants
+from npred.base import defaults, registry
 from npred.base.errors import ConfigError
 from npred.cli.options import Common, argument, flag
-
-if TYPE_CHECKING:
-    from npred.plants import Plant
 
 TEMPLATES = ("plant.py.txt", "pipeline.toml.txt")
 
@@ -57,42 +55,29 @@ def init(
 
 def _copies(source: str, name: str, class_name: str, template: str) -> tuple[str, str]:
     """The plant's file with its class renamed, and a pipeline of the plant that is part of npred, else the template."""
-    from npred import plants
-
     plant = plants.resolve(source)
     texts = {name: path.read_text(encoding="utf-8") for name, path in defaults.shipped().items()}
     # that of its name, else pipeline/paper.toml or the first that has this plant
     names = sorted(texts, key=lambda name: (name != source, name != defaults.PIPELINE.stem))
     toml = next((texts[name] for name in names if tomllib.loads(texts[name])["plant"] == source), None)
-    if toml is None:
-        return _renamed(source, plant, class_name), _fitted(template, plant)
-    toml = re.sub(r"^baselines = .*\n", "", toml, flags=re.MULTILINE)  # of files that lie beside that pipeline
-    toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
-    toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
-    return _renamed(source, plant, class_name), toml
+    if toml is None:  # the template: it starts in the middle of the box, and where nothing rests so do the networks
+        middle = [sum(plant.box[state]) / 2 if state in plant.box else 0.0 for state in plant.states]
+        X0 = f"X0 = {[round(value, 6) for value in middle]}"
+        toml = re.sub(r"^X0 = \S.*?(?=  |$)", X0, template, flags=re.MULTILINE)
+        if hasattr(plant.declaration, "reference"):
+            anchor = r'\1\nanchor = "initial"    # nothing rests here'
+            toml = re.sub(r"^(\[train\.\w+\])$", anchor, toml, flags=re.MULTILINE)
+    else:
+        toml = re.sub(r"^baselines = .*\n", "", toml, flags=re.MULTILINE)  # they lie beside that pipeline
+        toml = re.sub(r"^name = .*$", f'name = "{name}"', toml, count=1, flags=re.MULTILINE)
+        toml = re.sub(r"^plant = .*$", f'plant = "{name}.py:{class_name}"', toml, count=1, flags=re.MULTILINE)
 
-
-def _renamed(source: str, plant: "Plant", class_name: str) -> str:
-    """The text of a plant's file with its class renamed to `class_name`; of a family, with a class for this member."""
-    from npred.base import registry
-
-    in_file = registry.in_file(source)
     # a declaration without V is completed by a class of npred below it
     modules = [sys.modules.get(k.__module__) for k in plant.declaration.__mro__ if "states" in vars(k)]
+    in_file = registry.in_file(source)
     path = registry.split(source)[0] if in_file else Path(inspect.getfile(next(filter(None, modules))))
     text, old = path.read_text(encoding="utf-8"), plant.declaration.__name__
     if re.search(rf"^class {old}\b", text, re.MULTILINE):
-        return re.sub(rf"\b{old}\b", class_name, text)
-    declaration = registry.split(source)[1] if in_file else f'PLANTS["{source}"]'
-    return f"{text.rstrip()}\n{class_name} = {declaration}\n"
-
-
-def _fitted(text: str, plant: "Plant") -> str:
-    """The template for this plant: it starts in the middle of its box, and where nothing rests so do the networks."""
-    middle = [sum(plant.box[state]) / 2 if state in plant.box else 0.0 for state in plant.states]
-    text = re.sub(r"^X0 = \S.*?(?=  |$)", f"X0 = {[round(value, 6) for value in middle]}", text, flags=re.MULTILINE)
-    if hasattr(plant.declaration, "reference"):
-        text = re.sub(
-            r"^(\[train\.\w+\])$", r'\1\nanchor = "initial"    # nothing rests here', text, flags=re.MULTILINE
-        )
-    return text
+        return re.sub(rf"\b{old}\b", class_name, text), toml
+    declaration = registry.split(source)[1] if in_file else f'PLANTS["{source}"]'  # a family: a class for this member
+    return f"{text.rstrip()}\n{class_name} = {declaration}\n", toml

@@ -34,30 +34,7 @@ def tune(
     tables = config.table(options.pipeline)
     for override in options.set or []:
         config.override(tables, override)
-    _free(tables, free or [])
-    pipeline = config.parse(tables, str(options.pipeline))
-    head = rewritable(writable(output), "tune") if output else ""
-    planner = options.planner()
-    with interruption.graceful("interrupted; the numbers are the best up to then"):
-        result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
-        text = _table(result, options.console.width)
-        if output and result.gained:
-            output.write_text(
-                f"{head} {options.pipeline.name}\n# {result.sentence}\n\n"
-                + _pipeline(
-                    map_paths(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result
-                ),
-                encoding="utf-8",
-            )
-            text += f"\nwrote {output}"
-        elif output:
-            text += "\nno pipeline was written"
-        options.show(result.json_object(), lambda: text)
-
-
-def _free(tables: dict[str, Any], texts: list[str]) -> None:
-    """Add NAME or NAME=LOW:HIGH to the table [tune]."""
-    for text in texts:
+    for text in free or []:
         name, sign, span = text.partition("=")
         table = tables.setdefault("tune", {})
         if name not in (*LAW, *table.setdefault("free", [])):
@@ -68,6 +45,20 @@ def _free(tables: dict[str, Any], texts: list[str]) -> None:
                 table.setdefault("bounds", {})[name] = [low, high]
         except ValueError:
             raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {text!r}; write k1=0.5:5, say") from None
+    pipeline = config.parse(tables, str(options.pipeline))
+    head = rewritable(writable(output), "tune") if output else ""
+    planner = options.planner()
+    with interruption.graceful("interrupted; the numbers are the best up to then"):
+        result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
+        text = _table(result, options.console.width)
+        if output and result.gained:
+            there = map_paths(tables, lambda file: relpath(file, output.parent))
+            written = f"{head} {options.pipeline.name}\n# {result.sentence}\n\n"
+            output.write_text(written + _pipeline(there, pipeline, planner.plant, result), encoding="utf-8")
+            text += f"\nwrote {output}"
+        elif output:
+            text += "\nno pipeline was written"
+        options.show(result.json_object(), lambda: text)
 
 
 def _table(result: Tuned, width: int | None) -> str:

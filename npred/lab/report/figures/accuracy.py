@@ -14,7 +14,7 @@ from npred.lab.report.figures.style import DOTTED, ROLES, Axes, lettered, line_o
 from npred.plants import Plant
 
 BINS = 24
-CELLS = (18, 14)  # of the map over the first two states
+CELLS = (18, 14)  # cells of the map over the first two states
 LEVELS = 9  # colours of that map
 ABOUT = {
     "nominal": "nominal rollouts have the experiment's delays",

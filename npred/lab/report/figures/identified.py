@@ -1,4 +1,4 @@
-"""What a recording tells of a plant: recorded and fitted outputs, the cost of each delay, and what is left over."""
+"""The figures of an identification: recorded and fitted outputs, the cost of each delay, and what is left over."""
 
 from collections.abc import Iterator
 from typing import Any

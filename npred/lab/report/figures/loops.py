@@ -18,10 +18,10 @@ from npred.loop import lyapunov, metrics
 from npred.plants import Plant
 
 GOAL = replace(DOTTED, width=0.8)
-ROUNDS = 30  # of the fixed-point iteration for when a command acts
+ROUNDS = 30  # rounds of the fixed-point iteration for when a command acts
 MARK = (0.01, 9)  # a dash that leaves a legend's marker alone
-SPREAD = 0.5  # of a scenario's room, between its first and its last predictor
-REACH = 1e-4  # of the largest value: further left on a logarithmic side are arrows, or they would squeeze the rest
+SPREAD = 0.5  # share of a scenario's room between its first and its last predictor
+REACH = 1e-4  # share of the largest value: further left on a logarithmic side are arrows
 POINTS, BEYOND = 80, 1.5  # estimates that are looked at for the delay margin, up to so many times the margin
 FAR = 2.0  # in D, where the margin has no end
 

@@ -44,7 +44,7 @@ ROLES = {
 BUILTIN = (("blue", "sky"), ("orange", "amber"))
 OTHERS = (("crimson", "rose"), ("olive", "lime"), ("violet", "lilac"), ("brown", "sand"))
 # Dashes: of networks in turn, for one is drawn over another and over a solid line, each seen in the gaps of the next;
-# of those for whom no colour is left; of what stopped early.
+# those for whom no colour is left; networks that stopped early.
 TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
 
 
@@ -109,8 +109,8 @@ class Style:
 
 
 HANDLE = 2.4  # widths of an M: the line of a legend's entry
-SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # of one panel on a page
-MEDIA = {  # of all panels in a file
+SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # one panel on a page
+MEDIA = {  # all panels in a file
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
     "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
     "page": Style(5.4, 2, 9, "DejaVu Sans", 1.9),  # legible on a telephone

@@ -279,7 +279,7 @@ def columns(
     from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="")
-    room = (width or UNFOLDED) // max(len(header), 1) - 2  # of each column, if all were alike
+    room = (width or UNFOLDED) // max(len(header), 1) - 2  # room of each column, if all were alike
     for cells in zip(header, *rows, strict=True):
         justify: Literal["left", "right"] = "right" if cells[0] in numbers else "left"
         whole = max(map(len, cells)) <= room  # a column of keys is not broken for one of sentences
