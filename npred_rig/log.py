@@ -1,4 +1,4 @@
-"""The log of a rig, a table of text that `npred identify` reads, and what it says of the loop.
+"""The log of a rig, a table of text that `npred identify` reads, what it says of the loop, and a figure of it.
 
 A row is a call of the controller, or a sample that arrived, at the time when it was taken; cells that do not belong to
 it are empty. The last line is a comment that says why the log ends.
@@ -12,6 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.identification.recordings.csv import Csv
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves
+from npred.lab.report.figures.notation import quantity, timed
+from npred.lab.report.figures.style import LineStyle
 from npred.loop import metrics
 from npred.loop.controller import Controller
 from npred.plants import Plant
@@ -19,10 +22,10 @@ from npred.plants import Plant
 OVER = "the time is over"
 END = "# end: "
 TAIL = 4096  # bytes of the log's end that the live view reads
-#: of a call: D_hat and its spread, how old the used sample is, samples refused so far, 1 where the watchdog has U; how
-#: late the call was, how long it took
+#: columns of a call: D_hat and its spread, how old the used sample is, samples refused so far, 1 where the watchdog has
+#: U; how late the call was, how long it took
 CALL = ("rig.D_hat", "rig.D_hat_spread", "rig.age", "rig.refused", "rig.handed_over", "rig.late", "rig.took")
-#: of a sample: its number, its arrival, and the delay by the stamps of the commands, its mean so far
+#: columns of a sample: its number, its arrival, and the delay by the stamps of the commands, its mean so far
 SAMPLE = ("rig.number", "rig.arrival", "rig.delay")
 
 
@@ -74,7 +77,7 @@ def distance(plant: Plant, samples: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
-    """What it says of a loop with that control step; times in seconds where no name says µs."""
+    """The numbers of a loop with that control step; times in seconds where no name says µs."""
     calls, samples = log.calls, log.samples
     number, late, far = samples["rig.number"], calls["rig.late"], distance(plant, samples)
     slots = np.round((calls["t"] - late) / dt)
@@ -93,7 +96,7 @@ def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
 
 
 def last_row(path: Path) -> str:
-    """What the last call in a log that grows says, in a line; empty before there is one."""
+    """The last call in a log that grows, in a line; empty before there is one."""
     if not path.exists():
         return ""
     with path.open("rb") as file:
@@ -102,6 +105,32 @@ def last_row(path: Path) -> str:
         rows = [dict(zip(names, line.split(","), strict=False)) for line in file.read().decode().split("\n")[:-1]]
     last = next((row for row in reversed(rows) if row.get("rig.late")), {})
     return ", ".join(f"{name.removeprefix('rig.')} {float(cell):.4g}" for name, cell in last.items() if cell)
+
+
+def figure(plant: Plant, name: str, log: RigLog) -> Figure:
+    """Samples, commands, the delay estimate and how old the samples are; `name` is that of its file."""
+    calls, order = log.calls, np.argsort(log.samples["t"])
+    samples = {column: values[order] for column, values in log.samples.items()}
+    t, time, line, stamps = calls["t"], timed(plant, "t"), LineStyle("blue", width=1.0), LineStyle("ink", (4, 2))
+    panels = []
+    for x in dict.fromkeys([*plant.outputs, *plant.states]):
+        if x in samples:
+            drawn = curves([(line, samples["t"], samples[x])], time)
+            panels.append(Panel(quantity(plant, x), f"{x} as measured.", drawn))
+    for U in plant.inputs:
+        panels.append(Panel(quantity(plant, U), f"The commands {U}.", curves([(line, t, calls[U])], time)))
+    estimate, delay, age = calls["rig.D_hat"], samples["rig.delay"], calls["rig.age"]
+    alt = f"D_hat ends at {estimate[-1]:.4g}, the stamps say {delay[-1]:.4g}."
+    both = curves([(LineStyle("blue"), t, estimate), (stamps, samples["t"], delay)], time)
+    panels.append(Panel(f"delay estimate {quantity(plant, 'D_hat')}", alt, both))
+    alt = f"In the middle {np.median(age):.3g}, at most {age.max():.3g}."
+    panels.append(Panel(timed(plant, "age of the sample"), alt, curves([(line, t, age)], time)))
+    caption = "A loop on a real clock: the samples that arrived, the commands, D̂ and the delay that the stamps say."
+    keys = [
+        LegendEntry("D̂ of the controller", LineStyle("blue")),
+        LegendEntry("delay by the stamps, its mean so far", stamps),
+    ]
+    return Figure(name, "The rig", caption, panels, keys)
 
 
 def micro(name: str, seconds: np.ndarray) -> dict[str, float]:

@@ -67,7 +67,7 @@ class Channel:
 
 
 class Packet(NamedTuple):
-    """What arrived: its times in seconds since the start, and its values."""
+    """A packet that arrived: its times in seconds since the start, and its values."""
 
     arrival: float
     number: int

@@ -25,7 +25,6 @@ from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop import HISTORY
 from npred.plants import Plant
 from npred.prediction.methods import numerical
-from npred_rig import figure as drawing
 from npred_rig import log, network, sides
 from npred_rig.command import Rigged
 from npred_rig.network import Channel
@@ -50,7 +49,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if written.why != log.OVER:
         raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
     if plot:
-        figures.write(drawing.rig(plant, plot.stem, *written[:2]), plot.parent, MEDIA["page"], [plot.suffix[1:]])
+        figures.write(log.figure(plant, plot.stem, written), plot.parent, MEDIA["page"], [plot.suffix[1:]])
     document = log.summary(plant, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)

@@ -260,7 +260,7 @@ RESOLVERS = Registry("resolver", "npred.resolvers")
 # Modules that say more of a network's error: check(plant), which raises where certify cannot, and certify(job, guards,
 # exact, fresh), fields of the certificate of each network
 CERTIFICATES = Registry("certificate", "npred.certificates")
-COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.cli.commands: none is built in
+COMMANDS = Registry("command", "npred.commands")  # functions as the commands in npred.cli: none is built in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 

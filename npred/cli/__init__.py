@@ -2,27 +2,14 @@
 
 import sys
 from gc import freeze, set_threshold
-from importlib import import_module
-from types import ModuleType
 
-from npred.cli import commands
 from npred.cli.app import app
 from npred.lab.report.terminal import interruption, streams
 from npred.lab.report.terminal.console import Console
 
-__all__ = ["app", "commands", "main"]
+__all__ = ["app", "main"]
 
 MANY = 100_000  # objects between two searches for cycles: by default they take a third of the time of `npred status`
-
-
-def __getattr__(name: str) -> ModuleType:
-    """The module of a command, imported on first use. Raises AttributeError where there is none."""
-    try:
-        return import_module(f"npred.cli.{name}")
-    except ModuleNotFoundError as error:
-        if error.name != f"npred.cli.{name}":  # of what that module imports
-            raise
-        raise AttributeError(f"module 'npred.cli' has no attribute {name!r}") from error
 
 
 def main() -> None:

@@ -1,48 +1,97 @@
-"""The typer application: how a function becomes a command, and how a failure becomes an exit code."""
+"""The application: every command by its name, how a function becomes a command, and how a failure an exit code.
+
+The module of a command is imported when the command is called, or its help is asked for: `npred --help` stays quick.
+"""
 
 import inspect
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import fields
-from typing import Any, TypeVar, get_type_hints
+from functools import partial
+from typing import Annotated, Any, get_type_hints
 
 import typer
+import typer.main
+from typer.core import TyperCommand
 
-from npred.base.errors import NpredError, first_line, missing
+import npred
+from npred.base.errors import ConfigError, NpredError, first_line, missing
 from npred.base.progress import announce, listener
-from npred.cli.options import Common
+from npred.base.registry import COMMANDS, STAGES, attribute, declared_stage
+from npred.cli.options import Common, argument
+from npred.exports import FORMATS
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import Console
 
-Function = TypeVar("Function", bound=Callable[..., None])
-
-
+CHECKING = "checking the plant: its formulas, its equilibrium, the loops of its law"
+READING = "importing the packages and reading the store: some seconds"
+WRITING = "reading, writing and testing it: some seconds, minutes for large networks"
+PLANTS = "The plants that are built in or installed; `npred plants check` asks what is wrong with one."
+GRID = "A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."
+TUNE = "Search better gamma, b and gains of kappa on the loops of [evaluate]; say so if nothing is to be gained."
+OF_STAGES = {"identify": "identify:identify", "bench": "execute:bench", "report": "execute:report"}  # with more flags
+OTHERS = {  # by name: module:function, help, and what is said of a command that takes some seconds
+    "sweep": ("sweep:sweep", GRID),
+    "tune": ("tune:tune", TUNE),
+    "status": ("inspect:status", "The state of each result: fresh, stale or missing."),
+    "why": ("inspect:why", "The reason that a stage would run again: what changed, before -> after."),
+    "show": ("inspect:show", "The content of a result: question, files, answer."),
+    "ls": ("inspect:ls", "Every result in the store, the most recent last."),
+    "diff": ("inspect:diff", "The differences of two results: in their questions, and in their answers."),
+    "init": ("scaffold:init", "A new plant to start from: NAME.py and NAME.toml in this folder."),
+    "verify": ("store_admin:verify", "Every file of every result against its digest; exit 4 where one differs."),
+    "gc": ("gc:gc", "Delete what no pipeline needs: the plan first, deleted with --yes."),
+    "doctor": ("store_admin:doctor", "Versions, devices, threads and the store.", READING),
+}
+LOOK: dict[str, Any] = {
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,  # rich would eat `[evaluate]`
+}
 app = typer.Typer(
     name="npred",
     help="Numerical and neural predictor feedback for delayed nonlinear plants: generate, train, evaluate, bench.",
     no_args_is_help=True,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # rich would eat `[evaluate]`
+    **LOOK,
 )
 
 
-def command(
-    to: typer.Typer = app, name: str = "", help: str | None = None, waits: str = ""
-) -> Callable[[Function], Function]:
-    """Register f(options, *, own parameters) as a command, which also takes the flags of its options class.
+class LazyCommand(TyperCommand):
+    """A command whose function, and so its flags, are there from the first question for them on."""
 
-    Its name and help are f's own unless they are given. `waits` is what it says of itself where it takes some seconds.
+    def __init__(self, function: str | Callable[..., None], waits: str, **declared: Any) -> None:
+        super().__init__(**declared)
+        self.function, self.waits = function, waits
+        del self.params, self.callback
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("params", "callback"):
+            raise AttributeError(name)
+        alone = typer.Typer(add_completion=False, **LOOK)
+
+        def load() -> None:
+            function: Any = self.function
+            if isinstance(function, str):
+                module, name, *names = function.split(":")
+                function = attribute(f"npred.cli.{module}:{name}")
+                function = function(*names) if names else function
+            alone.command()(with_flags(function, self.waits))
+
+        if code := guarded(load, Console()):
+            raise typer.Exit(code)
+        command = typer.main.get_command(alone)
+        self.params, self.callback = command.params, command.callback
+        return getattr(self, name)
+
+
+def add(to: typer.Typer, name: str, function: str | Callable[..., None], help: str, waits: str = "") -> None:
+    """Add a command: f(options, *, own parameters), which also takes the flags of its options class, or its place in
+    npred.cli: module:function, or module:function:argument where that makes the command. `waits` is what it says of
+    itself where it takes some seconds.
     """
-
-    def register(function: Function) -> Function:
-        words = name or function.__name__.strip("_").replace("_", "-")
-        about = " ".join((help or function.__doc__ or "").split())
-        to.command(words, help=help, short_help=about)(with_flags(function, waits))
-        return function
-
-    return register
+    lazy: Any = partial(LazyCommand, function, waits)
+    to.command(name, cls=lazy, help=help, short_help=" ".join(help.split()))(lambda: None)
 
 
 def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., None]:
@@ -56,9 +105,12 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
 
     def call(context: typer.Context, **values: Any) -> None:
         common = options(**{field.name: values.pop(field.name) for field in shared})
-        if context.invoked_subcommand:  # of a group
+        if context.invoked_subcommand:  # a group of commands
             return
-        if code := guarded(lambda: function(common, **values), common.console, waits, _flags(context)):
+        sources = {p: context.get_parameter_source(str(p.name)) for p in context.command.params}
+        written = [p for p, source in sources.items() if source and source.name == "COMMANDLINE"]
+        flags = {str(p.name): p.opts[-1] for p in written if p.opts[-1].startswith("--")}
+        if code := guarded(lambda: function(common, **values), common.console, waits, flags):
             raise typer.Exit(code)
 
     kind = inspect.Parameter.KEYWORD_ONLY
@@ -66,21 +118,14 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
     parameters = [inspect.Parameter("context", kind, annotation=typer.Context), *arguments, *flags]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    call.__doc__ = function.__doc__
     return call
-
-
-def _flags(context: typer.Context) -> dict[str, str]:
-    """The flags that the user wrote, by the names that they have as arguments in Python."""
-    sources = {p: context.get_parameter_source(str(p.name)) for p in context.command.params}
-    written = [p for p, source in sources.items() if source and source.name == "COMMANDLINE"]
-    return {str(p.name): p.opts[-1] for p in written if p.opts[-1].startswith("--")}
 
 
 def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: Mapping[str, str] = {}) -> int:
     """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log.
 
-    A message that begins with an argument's name, as `precision: expected …`, names the one of `flags` instead.
+    A message that begins with an argument's name, as `precision: expected …`, names the one of `flags` instead: those
+    that the user wrote, by the names that they have as arguments in Python.
     """
     try:
         with listener(console.wait), announce(waits) if waits else nullcontext():
@@ -94,7 +139,7 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
         if interruption.interrupted() or isinstance(error, KeyboardInterrupt):
             interruption.say(console.error)
             return interruption.code()
-        if isinstance(error, ModuleNotFoundError):  # of a package of an extra, where nothing has said so before
+        if isinstance(error, ModuleNotFoundError):  # the package of an extra, where nothing has said so before
             error = missing("npred", error) or error
         if isinstance(error, NpredError):
             name, colon, rest = str(error).partition(":")
@@ -107,3 +152,59 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
         return 1
     finally:
         console.close()
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"npred {npred.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None: ...
+
+
+add(app, "run", "execute:run", "Run all stages in order; a result that is already in the store is reused.")
+for _name in STAGES:
+    add(app, _name, OF_STAGES.get(_name, f"execute:stage_command:{_name}"), declared_stage(_name).help)
+for _name, _declared in OTHERS.items():
+    add(app, _name, *_declared)
+
+
+@app.command("help")
+def _help(
+    context: typer.Context,
+    words: Annotated[list[str] | None, argument("[COMMAND]...", "As `run` or `plants check`.")] = None,
+) -> None:
+    """Help of a command, or of all."""
+    root = context.find_root()
+    root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
+
+
+_plants = typer.Typer()
+app.add_typer(_plants, name="plants", help=PLANTS, short_help=PLANTS)
+
+
+@_plants.callback(invoke_without_command=True)
+@with_flags
+def _listed(options: Common) -> None:
+    attribute("npred.cli.inspect:plants")(options)
+
+
+add(
+    _plants, "check", "inspect:check", "Check a plant, one answer per question; exit 3 where an answer is no.", CHECKING
+)
+_export = typer.Typer(no_args_is_help=True, help="A controller or a trained network for another program.")
+app.add_typer(_export, name="export")
+for _name, _format in FORMATS.items():
+    add(_export, _name, f"export:format_command:{_name}", _format.help, WRITING)
+for _name in sorted(set(COMMANDS.names()) - {each.name for each in app.registered_commands}):
+    try:
+        _function = COMMANDS.installed(_name)
+        add(app, _name, _function, _function.__doc__)
+    except ConfigError as _error:  # a package that fails stops no other command
+        Console().warn(str(_error))

@@ -1,16 +1,18 @@
 """The commands that run stages."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Annotated
 
 from npred.base import devices
 from npred.base.errors import ConfigError, room_on_disk, unlisted
-from npred.cli.options import Work, writable_folder
+from npred.base.registry import declared_stage
+from npred.cli.options import Work, flag, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
-from npred.lab.report.terminal.console import columns
-from npred.lab.report.terminal.run_log import Events
+from npred.lab.report.figures.style import MEDIA
+from npred.lab.report.terminal.console import Events, columns
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.plan import STAGES, Planner, Step, nodes, usual
 from npred.lab.scheduler.retention import remember
@@ -18,23 +20,44 @@ from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.store import short
 
 
-def everything(options: Work) -> None:
+def run(options: Work) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
-    _work(options, usual(options.config), ("evaluate", "bench"), closing=True)
+    _work(options, None)
 
 
-def stage(options: Work, stage_name: str, model: str | None = None, output: Path | None = None) -> None:
-    """One stage with what it needs upstream; `model` keeps one network of the train stage, `output` is a page's file.
+def stage_command(stage: str) -> Callable[..., None]:
+    """The command that runs one stage with what it needs upstream; of a stage per network, of one or of all."""
 
-    Raises ConfigError for a network that there is none of.
-    """
-    if model is not None and model not in (names := options.config.train.names):
-        raise ConfigError(unlisted("--model", model, names))
-    _work(options, [stage_name], (stage_name,), model, output)
+    def of_networks(
+        options: Work,
+        *,
+        model: Annotated[str | None, flag("A network, as deeponet; those of the pipeline by default.")] = None,
+    ) -> None:
+        if model is not None and model not in (names := options.config.train.names):
+            raise ConfigError(unlisted("--model", model, names))
+        _work(options, stage, model)
+
+    def of_all(options: Work) -> None:
+        _work(options, stage)
+
+    return of_networks if declared_stage(stage).per_network else of_all
 
 
-def could_pay(options: Work) -> None:
-    """Whether a network could pay for a pipeline's plant, or a plant; nothing is trained or stored."""
+def bench(
+    options: Work,
+    *,
+    no_networks: Annotated[
+        bool,
+        flag(
+            "Train none: say in seconds from the cost of f, of a plant as my_plant.py:Tank too, whether one could pay.",
+            "--no-networks",
+        ),
+    ] = False,
+) -> None:
+    """The stage, or without networks whether one could pay for a plant; then nothing is trained or stored."""
+    if not no_networks:
+        _work(options, "bench")
+        return
     from npred import plants
     from npred.lab import config
     from npred.lab.scheduler import runs
@@ -50,24 +73,30 @@ def could_pay(options: Work) -> None:
     options.show(measured.json_object(), lambda: without_networks.summary(measured, options.console.width))
 
 
-def report(options: Work, output: Path | None, medium: str | None) -> None:
+def report(
+    options: Work,
+    *,
+    output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
+    figures: Annotated[
+        str | None, flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA))
+    ] = None,
+) -> None:
     """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""
-    if medium is None or options.dry_run:
-        stage(options, "report", output=output)
+    if figures is None or options.dry_run:
+        _work(options, "report", output=output)
         return
     from npred import plants
-    from npred.lab.report.figures.style import MEDIA
     from npred.lab.stages.report.report_data import PipelineResults
 
-    if medium not in MEDIA:
-        raise ConfigError(unlisted("--figures", medium, MEDIA))
-    default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{medium}")
+    if figures not in MEDIA:
+        raise ConfigError(unlisted("--figures", figures, MEDIA))
+    default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{figures}")
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
     results = PipelineResults.read(options.config, plant, folders)
     with room_on_disk(folder):
-        files = write_figures(results, folder, MEDIA[medium])
+        files = write_figures(results, folder, MEDIA[figures])
         if output is None:
             sign(options, folder)
     document = {"folder": str(folder), "files": [file.name for file in files]}
@@ -96,16 +125,15 @@ def bring(options: Work, targets: list[str], model: str | None = None, borrows: 
     return outcomes
 
 
-def _work(
-    options: Work, targets: list[str], answering: tuple[str, ...], model: str | None = None, output: Path | None = None,
-    closing: bool = False,
-) -> None:  # fmt: skip
+def _work(options: Work, stage: str | None, model: str | None = None, output: Path | None = None) -> None:
+    """Run a stage, or without one all, and say what came out."""
+    targets = [stage] if stage else usual(options.config)
     if options.dry_run:
         steps = _planner(options, targets).plan(nodes(options.config, targets, model))
         options.show(_document(steps, None), lambda: _table(options, steps))
         return
     outcomes = bring(options, targets, model)
-    final = [outcome for outcome in outcomes if outcome.node.stage in answering]
+    final = [outcome for outcome in outcomes if outcome.node.stage in ([stage] if stage else ["evaluate", "bench"])]
     page = publish(options, outcomes, output)
     if options.json:
         result: dict[str, object] = {}
@@ -115,8 +143,14 @@ def _work(
         options.console.json(_document(outcomes, result) | ({"report": str(page)} if page else {}))
         return
     lines = [_table(options, outcomes)] if options.wide else []
-    if closing and not options.wide:
-        lines.append(_closing(options, outcomes))
+    if stage is None and not options.wide:  # the report's sentences, and a table of the predictors
+        from npred.lab.stages.bench import timing_tables
+        from npred.lab.stages.report import tables
+
+        folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
+        times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
+        table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
+        lines.append("\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n")
     else:
         for outcome in final:
             artifact = outcome.artifact
@@ -126,7 +160,7 @@ def _work(
 
 
 def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planner:
-    """What is asked for is timed here; what only draws times, a report, takes those that there are."""
+    """A stage that is asked for is timed here; a report, which only draws times, takes those that there are."""
     planner = options.planner(frozenset(targets) if options.force else frozenset(), borrows or "bench" not in targets)
     devices.require(planner.device)
     return planner
@@ -147,14 +181,3 @@ def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
     if options.dry_run:  # a plan has taken no time
         head, rows = [*head[:3], head[4]], [[*row[:3], row[4]] for row in rows]
     return columns(head, rows, options.console.width)
-
-
-def _closing(options: Work, outcomes: list[Outcome]) -> str:
-    """The summary of a whole run: the report's sentences, and a table of the predictors."""
-    from npred.lab.stages.bench import timing_tables
-    from npred.lab.stages.report import tables
-
-    folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
-    times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
-    table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
-    return "\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n"

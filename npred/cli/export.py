@@ -1,15 +1,17 @@
 """`npred export`: the controller of a pipeline's evaluated loop, or a trained model, for another program."""
 
+import inspect
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from npred import exports, plants
 from npred.base import defaults, grid
 from npred.base.errors import ConfigError
-from npred.cli.options import Exporting, ExportingLoop, writable, writable_folder
+from npred.cli.options import Exporting, ExportingLoop, argument, flag, writable, writable_folder
 from npred.estimation.adaptation import DelayAdaptation
 from npred.exports import FORMATS, TrainedNetwork, WholeController
 from npred.guard.guarded import Guarded
@@ -33,22 +35,47 @@ RECALLS = (
 )
 
 
-def export(options: Exporting, form: str, key: str, output: Path | None, values: dict[str, Any]) -> None:
-    """Write the files of a format with these of its options, and say what they hold."""
-    if (nx := options.nx) is not None and nx < 2:
-        raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
-    write, suffix = exports.writer(form, values), FORMATS[form].suffix
-    if output is not None:
-        writable(output) if suffix else writable_folder(output, form)
-    if isinstance(options, ExportingLoop):
-        of: WholeController | TrainedNetwork = _loop(options, key, values["precision"])
-        path = output or Path(values["name"] + suffix)
-    else:
-        of = _network(options, key)
-        path = output or Path(f"{of.name}-{of.nx}{suffix}")
-    files, facts, text = write(of, path)
-    document = {"files": [str(file) for file in files], "format": form} | of.facts | values | facts
-    options.show(document, lambda: f"{', '.join(map(str, files))}: {text}")
+def format_command(form: str) -> Callable[..., None]:
+    """The command that writes the files of a format, whose options are its flags, and says what they hold."""
+    declared = FORMATS[form]
+
+    def write(
+        options: Exporting,
+        *,
+        key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.")],
+        output: Annotated[
+            Path | None, flag("The file, or the folder of a controller's; named by default.", "-o", "--output")
+        ] = None,
+        **values: Any,
+    ) -> None:
+        if (nx := options.nx) is not None and nx < 2:
+            raise ConfigError(f"--nx: expected at least 2 nodes, both ends of [0, 1], got {nx}; dx = 0.01 is nx = 101")
+        written = exports.writer(form, values)
+        if output is not None:
+            writable(output) if declared.suffix else writable_folder(output, form)
+        if isinstance(options, ExportingLoop):
+            of: WholeController | TrainedNetwork = _loop(options, key, values["precision"])
+            path = output or Path(values["name"] + declared.suffix)
+        else:
+            of = _network(options, key)
+            path = output or Path(f"{of.name}-{of.nx}{declared.suffix}")
+        files, facts, text = written(of, path)
+        document = {"files": [str(file) for file in files], "format": form} | of.facts | values | facts
+        options.show(document, lambda: f"{', '.join(map(str, files))}: {text}")
+
+    first, *shared, _ = inspect.signature(write).parameters.values()
+    flags = []
+    for name, option in declared.options.items():
+        kind = str if option.default == () else type(option.default)
+        annotation = Annotated[kind, flag(option.help, word=option.word)]
+        flags.append(
+            first.replace(
+                name=name, kind=inspect.Parameter.KEYWORD_ONLY, default=option.default or "", annotation=annotation
+            )
+        )
+    first = first.replace(annotation=Exporting if declared.network else ExportingLoop)
+    write.__signature__ = inspect.Signature([first, *shared, *flags])  # type: ignore[attr-defined]
+    return write
 
 
 def _network(options: Exporting, key: str) -> TrainedNetwork:

@@ -6,12 +6,12 @@ import stat
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from npred.base import defaults, devices
 from npred.base.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.base.registry import RESOLVERS
-from npred.cli.options import Common
+from npred.cli.options import Common, argument, flag
 from npred.lab import config
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.cells import cells
@@ -30,15 +30,19 @@ class Waste(NamedTuple):
     reason: str
     checksum: str | None = None
 
-    def as_seen(self, path: Path) -> bool:
-        """True if the path is still what the plan was made for: a run may have put a new result there."""
-        try:
-            return Artifact.read(path).manifest.checksum == self.checksum
-        except StoreError:
-            return self.checksum is None
 
-
-def gc(options: Common, pipelines: list[Path], set: list[str], device: str, yes: bool) -> None:
+def gc(
+    options: Common,
+    *,
+    pipelines: Annotated[
+        list[Path] | None, argument(None, "Pipelines whose results stay; all in pipeline/ by default.")
+    ] = None,
+    set: Annotated[
+        list[str] | None, flag("What a sweep was run with: its results stay as well.", "--set", word="KEY=VALUES")
+    ] = None,
+    yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
+    device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
+) -> None:
     """The plan of what to delete, and with `yes` the deletion: of what the pipelines and their grids do not need.
 
     Raises ConfigError where no pipeline says what stays, StoreError for a folder of other things, as a --store that was
@@ -50,7 +54,7 @@ def gc(options: Common, pipelines: list[Path], set: list[str], device: str, yes:
             f"{store.root}: expected a store of npred, found no {MARKER} in it; if npred made its results, "
             f"npred run of one of their pipelines marks it, or touch {store.root / MARKER}"
         )
-    plan = list(_plan(store, _kept(options, pipelines, set, device)))
+    plan = list(_plan(store, _kept(options, pipelines or [], set or [], device)))
     deleted = [str(path) for path in _delete(store, plan)] if yes else []
     rows = [{"path": str(waste.path), "bytes": waste.bytes, "reason": waste.reason} for waste in plan]
     options.show({"plan": rows, "deleted": deleted}, lambda: _table(plan, deleted, yes, options.console.width))
@@ -63,7 +67,14 @@ def _delete(store: Store, plan: list[Waste]) -> list[Path]:
     """
 
     def deleted(waste: Waste) -> bool:
-        return store.delete(waste.path, lambda path: path.name not in claims.in_use(store.root) and waste.as_seen(path))
+        def idle(path: Path) -> bool:  # and still what the plan was made for: a run may have put a new result there
+            try:
+                checksum = Artifact.read(path).manifest.checksum
+            except StoreError:
+                checksum = None
+            return path.name not in claims.in_use(store.root) and checksum == waste.checksum
+
+        return store.delete(waste.path, idle)
 
     paths, blocked = [], []
     for waste in plan:

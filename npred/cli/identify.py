@@ -5,17 +5,17 @@ import shutil
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from npred.base.errors import ConfigError
-from npred.cli.options import Work, argument, flag
-
-if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use for
-    from npred.lab.config import Pipeline
-    from npred.lab.config.results import IdentifiedResult
-    from npred.plants import Plant
-
-MADE = "# made by npred identify"
+from npred.cli.execute import bring
+from npred.cli.options import Work, argument, flag, rewritable
+from npred.lab import config
+from npred.lab.config import Pipeline
+from npred.lab.config.results import IdentifiedResult
+from npred.lab.stages.identify.identify import PAGE
+from npred.lab.stages.report import toml_text
+from npred.plants import Plant
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,8 @@ class Recorded(Work):
         return Path(self.pipeline_name)
 
     @cached_property
-    def config(self) -> "Pipeline":
+    def config(self) -> Pipeline:
         """The pipeline of a recording: a plant, and the table [identify]."""
-        from npred.lab import config
-
         table: dict[str, Any] = {}
         if self.pipeline.suffix == ".toml":
             table = config.table(self.pipeline)
@@ -69,13 +67,6 @@ class Recorded(Work):
         else:
             raise ConfigError(f"--plant: expected the plant of {self.pipeline}, got none; add --plant my_plant.py:Tank")
         table |= {"plant": self.plant} if self.plant else {}
-        table.setdefault("identify", {}).update(self._identify())
-        for override in self.set or []:
-            config.override(table, override)
-        return config.parse(table, str(self.pipeline))
-
-    def _identify(self) -> dict[str, object]:
-        """What the flags say of the table."""
         columns = _pairs(self.input, "--input NAME=COLUMN") | _pairs(self.state, "--state NAME=COLUMN")
         ranges = _pairs(self.bounds, "--bounds NAME=LOW:HIGH")
         named = {
@@ -86,7 +77,10 @@ class Recorded(Work):
             "shift": {key: _number(text) for key, text in _pairs(self.shift, "--shift COLUMN=NUMBER").items()},
             "bounds": {key: [_number(end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
-        return {key: value for key, value in named.items() if value}
+        table.setdefault("identify", {}).update({key: value for key, value in named.items() if value})
+        for override in self.set or []:
+            config.override(table, override)
+        return config.parse(table, str(self.pipeline))
 
 
 def _pairs(texts: list[str] | None, form: str) -> dict[str, str]:
@@ -104,12 +98,14 @@ def _number(text: str) -> float:
         raise ConfigError(f"expected a number, got {text!r}; write one, as 0.01") from None
 
 
-def identify(options: Recorded, output: Path | None) -> None:
+def identify(
+    options: Recorded,
+    *,
+    output: Annotated[
+        Path | None, flag("The pipeline that is written; LOG's name with .toml, here, by default.", "-o", "--output")
+    ] = None,
+) -> None:
     """The answer of the stage; the page and the pipeline are written beside each other."""
-    from npred.cli.execute import bring
-    from npred.lab.config.results import IdentifiedResult
-    from npred.lab.stages.identify.identify import PAGE
-
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
     path = output or Path(f"{options.config.name}.toml")
@@ -126,12 +122,9 @@ def identify(options: Recorded, output: Path | None) -> None:
     options.show(result.json_object() | {"files": list(map(str, files))}, lambda: said)
 
 
-def _pipeline(options: Recorded, plant: "Plant", result: "IdentifiedResult", path: Path) -> Path:
+def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: Path) -> Path:
     """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    from npred.lab.stages.report import toml_text
-
-    if path.exists() and not path.read_text(encoding="utf-8", errors="replace").startswith(MADE):
-        raise ConfigError(f"{path}: expected no such file, or one that npred identify made; name another by -o")
+    made = rewritable(path, "identify")
     longest = max(range(plant.m), key=lambda j: result.D[j])
     D, (low, high) = result.D[longest], result.interval[longest]
     loop = {"D": float(f"{D:.6g}"), "bounds": [float(f"{end:.6g}") for end in (low, high)]}
@@ -146,7 +139,7 @@ def _pipeline(options: Recorded, plant: "Plant", result: "IdentifiedResult", pat
         "parameters": options.config.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters},
         "generate": loop, "evaluate": loop | {"X0": middle},
     }  # fmt: skip
-    head = f"{MADE} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
+    head = f"{made} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
     if plant.m > 1 and plant.one_delay:
         delays = ", ".join(f"{delay:.6g}" for delay in result.D)
         head += f"# The inputs have different delays: write delays = ({delays}) in the plant's class.\n"

@@ -3,17 +3,20 @@
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated
 
 from npred.base.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.base.json_files import escaped
 from npred.base.registry import RESOLVERS
-from npred.cli.options import Common, Planned, drawable
+from npred.cli.options import Common, Planned, argument, drawable, flag
 from npred.lab.scheduler.plan import STAGES, Step, nodes, usual
 from npred.lab.scheduler.reasons import changes, differences, flat
 from npred.lab.store import Artifact, short
 
 
-def status(options: Planned, check: bool) -> None:
+def status(
+    options: Planned, *, check: Annotated[bool, flag("Read every file; exit 3 unless all is fresh.", "--check")] = False
+) -> None:
     """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
     steps = options.planner().plan(nodes(options.config, usual(options.config)))
     for step in steps if check else ():
@@ -27,30 +30,33 @@ def status(options: Planned, check: bool) -> None:
         raise UnmetError(f"expected every stage fresh, got {', '.join(late)} not; run npred run {options.pipeline}")
 
 
-def why(options: Planned, stage: str) -> None:
+def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.")]) -> None:
     """The reason of a stage, of a network, or of what an installed package brings: then no pipeline is read.
 
     Raises ConfigError for another name.
     """
     brought = map(RESOLVERS.installed, RESOLVERS.names())
     planners = [planner for module in brought for planner in module.planners(options.results, stage)]
-    asked = [step for planner in planners for step in planner.plan(planner.nodes())] or _asked(options, stage)
+    asked = [step for planner in planners for step in planner.plan(planner.nodes())]
+    if not asked and stage.endswith(".toml"):
+        raise ConfigError(f"why: expected a stage or a network, got a pipeline; write npred why train {stage}")
+    if not asked:
+        steps = options.planner().plan(nodes(options.config, usual(options.config)))
+        asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
+        if not asked:
+            names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
+            raise ConfigError(unlisted("why", stage, names))
     document = {"stages": [_step(step) for step in asked]}
     options.show(document, lambda: "\n".join(f"{step.node.title}: {step.reason}" for step in asked))
 
 
-def _asked(options: Planned, stage: str) -> list[Step]:
-    if stage.endswith(".toml"):
-        raise ConfigError(f"why: expected a stage or a network, got a pipeline; write npred why train {stage}")
-    steps = options.planner().plan(nodes(options.config, usual(options.config)))
-    asked = [step for step in steps if stage in (step.node.stage, step.node.model)]
-    if not asked:
-        names = dict.fromkeys(name for s in steps for name in (s.node.stage, s.node.name))
-        raise ConfigError(unlisted("why", stage, names))
-    return asked
-
-
-def show(options: Common, reference: str | None) -> None:
+def show(
+    options: Common,
+    *,
+    reference: Annotated[
+        str | None, argument("STAGE/KEY", "A key, a stage or a network; the latest by default.")
+    ] = None,
+) -> None:
     """A result, verified: manifest and answer."""
     artifacts = [options.results.find(reference)] if reference else options.results.artifacts()
     if not artifacts:
@@ -58,14 +64,28 @@ def show(options: Common, reference: str | None) -> None:
     artifact = artifacts[-1].verify()
     result = artifact.result()
     document = {"folder": str(artifact.folder), "manifest": artifact.manifest.model_dump(), "result": result}
-    options.show(document, lambda: _facts(artifact))
-    if not options.json:
-        options.console.out(_summary(artifact.manifest.question.stage, result, options.console.width))
+    manifest = artifact.manifest
+    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
+    facts = [
+        f"{artifact.name}  {artifact.folder}",
+        *(f"  {name}  {file.size} bytes" for name, file in manifest.files.items()),
+        *(f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()),
+        *(f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)),
+        f"  made with {circumstances}",
+    ]
+    stage, width = manifest.question.stage, options.console.width
+    options.show(document, lambda: "\n".join([*facts, _summary(stage, result, width)]))
 
 
-def ls(options: Common, shown: list[str]) -> None:
+def ls(
+    options: Common,
+    *,
+    shown: Annotated[
+        list[str] | None, flag("A setting as a column, as seed; repeatable.", "--show", word="KEY")
+    ] = None,
+) -> None:
     """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
-    artifacts, broken = options.results.survey()
+    shown, (artifacts, broken) = shown or [], options.results.survey()
     for folder in broken:
         options.console.warn(f"{folder}: expected a sound manifest, got none; remove that folder")
     by_key = {artifact.manifest.key: artifact for artifact in artifacts}
@@ -80,21 +100,33 @@ def ls(options: Common, shown: list[str]) -> None:
         ]
         for a, s in zip(artifacts, settings, strict=True)
     ]  # fmt: skip
-    entries = [_entry(a) | {"settings": s} for a, s in zip(artifacts, settings, strict=True)]
+    entries = [
+        {
+            "stage": a.manifest.question.stage, "model": a.manifest.question.model, "key": a.manifest.key,
+            "pipeline": a.manifest.pipeline, "digest": a.manifest.digest, "bytes": a.size,
+            "folder": str(a.folder), "made": datetime.fromtimestamp(a.made, UTC).isoformat(), "settings": s,
+        }
+        for a, s in zip(artifacts, settings, strict=True)
+    ]  # fmt: skip
     options.show_table({"artifacts": entries}, header, rows)
 
 
-def diff(options: Common, a: str, b: str) -> None:
+def diff(
+    options: Common,
+    *,
+    a: Annotated[str, argument("A", "A result, as for show.")],
+    b: Annotated[str, argument("B", "Another.")],
+) -> None:
     """The differences of two results."""
     left, right = (options.results.find(reference).verify() for reference in (a, b))
     before, after = left.manifest, right.manifest
     asked = differences(before.question, after.question)
     answered = changes(left.result(), right.result())
-    kinds = [_kind(left), _kind(right)]
+    kinds = [" ".join(filter(None, (each.question.stage, each.question.model))) for each in (before, after)]
     folders = {"a": str(left.folder), "b": str(right.folder)}
     made_with = changes(before.circumstances, after.circumstances)
     names = sorted(name for name in before.files | after.files if before.files.get(name) != after.files.get(name))
-    files = [] if asked or kinds[0] != kinds[1] else names  # of two answers to one question
+    files = [] if asked or kinds[0] != kinds[1] else names  # two answers to one question
     answer = {"stages": kinds, "question": asked, "result": answered, "files": files, "made_with": made_with}
     document = folders | answer
     across = [f"these are results of different stages: {kinds[0]} and {kinds[1]}"] if kinds[0] != kinds[1] else []
@@ -103,32 +135,36 @@ def diff(options: Common, a: str, b: str) -> None:
     options.show(document, lambda: "\n".join([*lines, *(f"made with {line}" for line in made_with)]))
 
 
-def _kind(artifact: Artifact) -> str:
-    """Its stage, and its network if it has one."""
-    asked = artifact.manifest.question
-    return f"{asked.stage} {asked.model}" if asked.model else asked.stage
-
-
 def plants(options: Common) -> None:
     """The plants that are built in, and those of installed packages."""
     from npred.plants import named
 
-    listed = named()
-    for broken in (p for p in listed if "error" in p):
-        options.console.warn(broken["error"])
-    sound = [p for p in listed if "error" not in p]
-    parameters = [" ".join(f"{name}={value:g}" for name, value in p["parameters"].items()) for p in sound]
-    rows = [
-        [p["name"], ", ".join(p["states"]), ", ".join(p["inputs"]), values]
-        for p, values in zip(sound, parameters, strict=True)
-    ]
+    listed, rows = named(), []
+    for plant in listed:
+        if "error" in plant:
+            options.console.warn(plant["error"])
+            continue
+        parameters = " ".join(f"{name}={value:g}" for name, value in plant["parameters"].items())
+        rows.append([plant["name"], ", ".join(plant["states"]), ", ".join(plant["inputs"]), parameters])
     options.show_table({"plants": listed}, ["plant", "states", "inputs", "parameters"], rows)
 
 
 def check(
-    options: Common, plant: str, delay: float | None, nodes: int | None, kappa: str = "", figure: Path | None = None,
-    u0: str | None = None,
-) -> None:  # fmt: skip
+    options: Common,
+    *,
+    plant: Annotated[str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.")],
+    delay: Annotated[
+        float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
+    ] = None,
+    nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
+    kappa: Annotated[
+        str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
+    ] = "",
+    u0: Annotated[
+        str | None, flag("The input before t = 0: equilibrium, law or numbers, as [0.5].", word="VALUE")
+    ] = None,
+    figure: Annotated[Path | None, flag("A figure of the delay margin: SVG, PDF or PNG.", word="FILE")] = None,
+) -> None:
     """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
     and the text of that to be pasted; a `figure` of the delay margin; `u0` as in a pipeline. Raises UnmetError where an
     answer is no.
@@ -165,33 +201,12 @@ def _step(step: Step) -> dict[str, object]:
     return {"stage": step.node.stage, "key": step.key, "state": step.state, **model, "reason": step.reason}
 
 
-def _entry(artifact: Artifact) -> dict[str, object]:
-    manifest, time_made = artifact.manifest, datetime.fromtimestamp(artifact.made, UTC).isoformat()
-    return {
-        "stage": manifest.question.stage, "model": manifest.question.model, "key": manifest.key,
-        "pipeline": manifest.pipeline, "digest": manifest.digest, "bytes": artifact.size,
-        "folder": str(artifact.folder), "made": time_made,
-    }  # fmt: skip
-
-
 def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:
     """A setting of the artifact or of what it was made from, as JSON."""
     asked = artifact.manifest.question
     value = flat(asked.config).get(key)
     sources = (by_key[source.key] for source in asked.inputs.values() if source.key in by_key)
     return value or next(filter(None, (_setting(source, key, by_key) for source in sources)), None)
-
-
-def _facts(artifact: Artifact) -> str:
-    manifest = artifact.manifest
-    lines = [
-        f"{artifact.name}  {artifact.folder}",
-        *(f"  {name}  {p.size} bytes" for name, p in manifest.files.items()),
-    ]
-    inputs = [f"  from {name}: {short(source.key)}" for name, source in manifest.question.inputs.items()]
-    settings = [f"  {line.replace(': unset ->', ' =')}" for line in changes({}, manifest.question.config)]
-    circumstances = ", ".join(f"{name} {value}" for name, value in manifest.circumstances.items() if value)
-    return "\n".join([*lines, *inputs, *settings, f"  made with {circumstances}"])
 
 
 def _summary(stage: str, result: dict[str, object], width: int | None = None) -> str:

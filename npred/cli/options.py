@@ -169,6 +169,14 @@ def writable(path: Path) -> Path:
     return path
 
 
+def rewritable(path: Path, command: str) -> str:
+    """The line that a pipeline begins with which `npred COMMAND` writes. Raises ConfigError for a file without it."""
+    head = f"# made by npred {command}"
+    if path.exists() and not path.read_text("utf-8", "replace").startswith(head):
+        raise ConfigError(f"{path}: expected no such file, or one that npred {command} made; name another by -o")
+    return head
+
+
 def drawable(path: Path) -> Path:
     """The path. Raises ConfigError where no figure can be written there."""
     from npred.lab.report.figures.figure import FORMATS

@@ -25,7 +25,7 @@ SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline fil
 PLACE = "<!-- made from -->"  # in the header of that page, which knows neither files nor flags
 OWNER = re.compile('<p class="about" data-pipeline="([^"]*)">')
 HEAD = 2**16  # bytes of a page that its header is in
-FORMATS = ("pdf", "svg", "png")  # of each figure
+FORMATS = ("pdf", "svg", "png")  # formats of each figure
 
 
 def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
@@ -41,12 +41,15 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
     folder, source = folders[-1], source_of(options)
     path = output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
     aside = path.with_name(path.name + ".part")
+    flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in options.set or [])
+    # The comment that a pipeline file begins with: what it is for, such as a test whose numbers mean nothing
+    lines = options.pipeline.read_text(encoding="utf-8", errors="replace").splitlines()
+    intent = " ".join(line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines))
+    name, said = html.escape(source), f". {html.escape(intent)}" if intent else ""
+    made_from = f"From <code>{name}</code>{' with' if flags else ''}{flags}{said}"
     try:
-        text = (
-            (folder / NAME)
-            .read_text(encoding="utf-8")
-            .replace(PLACE, _made_from(source, options.set or [], _intent(options.pipeline)), 1)
-        )
+        text = (folder / NAME).read_text(encoding="utf-8")
+        text = text.replace(PLACE, f'<p class="about" data-pipeline="{name}">{made_from}</p>', 1)
         aside.write_text(text, encoding="utf-8", errors="backslashreplace")
         aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
     except OSError as error:
@@ -94,20 +97,6 @@ def free_path(options: Planned, name: str, of: Callable[[str], Path]) -> Path:
 def sign(options: Planned, folder: Path) -> None:
     """Say in a folder of results of which pipeline file they are."""
     (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
-
-
-def _intent(pipeline: Path) -> str:
-    """The comment that a pipeline file begins with: what it is for, such as a test whose numbers mean nothing."""
-    lines = pipeline.read_text(encoding="utf-8", errors="replace").splitlines()
-    return " ".join(line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), lines))
-
-
-def _made_from(source: str, overrides: list[str], intent: str) -> str:
-    flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in overrides)
-    name, said = html.escape(source), f". {html.escape(intent)}" if intent else ""
-    return (
-        f'<p class="about" data-pipeline="{name}">From <code>{name}</code>{" with" if flags else ""}{flags}{said}</p>'
-    )
 
 
 def _owner(path: Path) -> str | None:

@@ -8,20 +8,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from npred.base import devices
 from npred.base.errors import ConfigError, NpredError, room_on_disk, unlisted
 from npred.base.progress import counted
-from npred.cli.options import Running, writable_folder
+from npred.cli.options import Running, flag, writable_folder
 from npred.cli.report import free_path, sign
 from npred.lab.config.results import Benched, Evaluated, PredictorId, Trained, ranked
-from npred.lab.config.results.evaluate import Scores
 from npred.lab.report import figures
 from npred.lab.report.figures.figure import Figure, Panel, legend
-from npred.lab.report.figures.style import ROLES, line_of, log
+from npred.lab.report.figures.style import ROLES, Axes, line_of, log
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.cells import Cell, cells
@@ -29,9 +28,7 @@ from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import remember
 from npred.lab.scheduler.runner import CellRun, Runner
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+MEASURED = ("mse", "eps_sup", "eps_kappa", "radius", "radius_worst", "converged")
 PRECISION = 4  # digits of the table that people read
 AXES = {"eps_sup": "sup error ε", "latency_us": "µs per call", "radius_worst": "worst radius"}
 PAIRS = (("latency_us", "eps_sup"), ("eps_sup", "radius_worst"), ("latency_us", "radius_worst"))
@@ -57,7 +54,15 @@ Done = list[tuple[Cell, CellRun]]
 Table = list[dict[str, str | float | None]]
 
 
-def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
+def sweep(
+    options: Running,
+    *,
+    to: Annotated[str, flag("The last stage of each cell; bench for latencies.", word="STAGE")] = "evaluate",
+    output: Annotated[
+        Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
+    ] = None,
+    csv: Annotated[bool, flag("Print the table as CSV.", "--csv")] = False,
+) -> None:
     """Run the grid up to the stage `to`; table and figure go to the folder `output`, by default one of the pipeline's
     name, and with `csv` the table to stdout. Raises NpredError, once all the others are done, where a cell failed.
     """
@@ -69,38 +74,29 @@ def sweep(options: Running, to: str, output: Path | None, csv: bool) -> None:
     devices.require(device)
     sweep_cells = cells(options.pipeline, options.set or [])
     targets = ["evaluate", "bench"] if to == "bench" else [to]  # a latency is worth little without its error
+    planners = [Planner(cell.config, options.results, device) for cell in sweep_cells]
     if options.dry_run:
-        _show_plan(options, sweep_cells, targets, device)
+        lines = []
+        for cell, planner in zip(sweep_cells, planners, strict=True):
+            steps = planner.plan(nodes(cell.config, targets))
+            lines.append({"cell": cell.name, "stages": [f"{step.node.title}: {step.action}" for step in steps]})
+        options.show({"cells": lines}, lambda: "\n".join("  ".join([line["cell"], *line["stages"]]) for line in lines))
         return
     jobs = options.jobs or devices.cores()
     remember(options.results, options.pipeline)
     options.console.keep_log(options.store, options.pipeline.stem)
     with executors.opened(options.executor, jobs) as executor:
-        planners = [Planner(cell.config, options.results, device) for cell in sweep_cells]
         runs = Runner(options.console, jobs, executor).sweep(planners, targets)
-    _report(options, list(zip(sweep_cells, runs, strict=True)), output, csv)
-
-
-def _show_plan(options: Running, sweep_cells: list[Cell], targets: list[str], device: str) -> None:
-    lines = []
-    for cell in sweep_cells:
-        steps = Planner(cell.config, options.results, device).plan(nodes(cell.config, targets))
-        lines.append({"cell": cell.name, "stages": [f"{step.node.title}: {step.action}" for step in steps]})
-    options.show({"cells": lines}, lambda: "\n".join("  ".join([line["cell"], *line["stages"]]) for line in lines))
-
-
-def _report(options: Running, done: Done, output: Path | None, csv: bool) -> None:
-    fine = [(cell, run) for cell, run in done if not run.failure]
-    lost = [(cell, run) for cell, run in done if run.failure]
-    rows = [row for cell, run in fine for row in rows_of(cell, run)]
+    done = list(zip(sweep_cells, runs, strict=True))
+    rows = [row for cell, run in done if not run.failure for row in rows_of(cell, run)]
     fronts = front([row.numbers for row in rows])
     table: Table = [{"row": k, **row.cells(), "front": fronts[k - 1]} for k, row in enumerate(rows, 1)]
-    files = _write(options, done[0][0].config.name, output, rows, table) if rows else []
+    files = _write(options, sweep_cells[0].config.name, output, rows, table) if rows else []
     if csv:
         options.console.out(_csv(table).rstrip("\n"))
     else:
-        options.show(_document(done, table, files), lambda: _text(len(fine), table, files, options.console.width))
-    if lost:
+        options.show(_document(done, table, files), lambda: _text(done, table, files, options.console.width))
+    if lost := [(cell, run) for cell, run in done if run.failure]:
         (cell, run), *more = lost
         others = f"; and {len(more)} more, as --json says" if more else ""
         raise NpredError(f"sweep: {len(lost)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
@@ -128,9 +124,8 @@ def _csv(table: Table) -> str:
 def _document(done: Done, table: Table, files: list[Path]) -> dict[str, object]:
     listed = []
     for cell, run in done:
-        outcomes = [outcome for node in run.nodes if (outcome := run.outcomes.get(node.name))]
         stages = []
-        for outcome in outcomes:
+        for outcome in (outcome for node in run.nodes if (outcome := run.outcomes.get(node.name))):
             shown = {"stage": outcome.node.stage, "model": outcome.node.model, "action": outcome.action}
             stages.append(shown | {"seconds": round(outcome.seconds, 3), "key": outcome.key})
         state = "failed" if run.failure else "done"
@@ -139,18 +134,18 @@ def _document(done: Done, table: Table, files: list[Path]) -> dict[str, object]:
     return {"total": len(done), "done": count, "cells": listed, "rows": table, "files": [str(file) for file in files]}
 
 
-def _text(done: int, table: Table, files: list[Path], width: int | None) -> str:
+def _text(done: Done, table: Table, files: list[Path], width: int | None) -> str:
     if not table:
-        return f"done: {counted(done, 'cells')}; rows come from train on" if done else "no cell is done"
+        fine = sum(not run.failure for _, run in done)
+        return f"done: {counted(fine, 'cells')}; rows come from train on" if fine else "no cell is done"
+
+    def text(value: object) -> str:
+        if isinstance(value, bool):
+            return "*" if value else ""
+        return f"{value:.{PRECISION}g}" if isinstance(value, float) else "∞" if value is None else str(value)
+
     shown = [name for name in table[0] if any(row[name] is not None for row in table)]
-    text = columns(shown, [[_cell(row[name]) for name in shown] for row in table], width)
-    return "\n".join([text, *map(str, files)])
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool):
-        return "*" if value else ""
-    return f"{value:.{PRECISION}g}" if isinstance(value, float) else "∞" if value is None else str(value)
+    return "\n".join([columns(shown, [[text(row[name]) for name in shown] for row in table], width), *map(str, files)])
 
 
 def rows_of(cell: Cell, run: CellRun) -> Iterator[Row]:
@@ -160,43 +155,32 @@ def rows_of(cell: Cell, run: CellRun) -> Iterator[Row]:
     latency, in µs, is the fastest runtime's for one call at the bench stage's first dx.
     """
     artifacts = {name: outcome.artifact for name, outcome in run.outcomes.items()}
-    folders = {name: artifact.folder for name, artifact in artifacts.items()}
-    benched = Benched.read(folders["bench"]) if "bench" in folders else None
-    for contender, measured in _measured(run, folders).items():
-        numbers = _numbers(measured) | {"latency_us": _latency(benched, contender, cell.config.bench.dx[0])}
+    times = Benched.read(artifacts["bench"].folder).table if "bench" in artifacts else []
+    if "evaluate" in artifacts:
+        models = Evaluated.read(artifacts["evaluate"].folder).models
+        measured: Any = {contender: scores for contender, scores in models.items() if contender.is_network}
+    else:
+        trained = {node.model: artifacts[node.name].folder for node in run.nodes if node.model}
+        measured = {PredictorId(model): Trained.read(folder) for model, folder in trained.items()}
+    dx = cell.config.bench.dx[0]
+    for contender, scores in measured.items():
+        numbers = {"mse": scores.mse, "eps_sup": scores.eps_sup}
+        if "evaluate" in artifacts:
+            radius = scores.radius
+            numbers |= {"eps_kappa": scores.eps_kappa, "radius": radius.median, "radius_worst": radius.worst}
+            numbers |= {"converged": radius.converged}
+        known = {key: number for key, number in numbers.items() if math.isfinite(number)}
+        own = [row for row in times if row.predictor == contender.model and contender.epoch is None]
+        latency = min((row.median_us for row in own if abs(row.dx - dx) < dx / 10), default=None)
         source = list(artifacts)[-1] if "evaluate" in artifacts else contender.model
-        yield Row(cell.values, contender.name, numbers, artifacts[source].name)
-
-
-def _measured(run: CellRun, folders: dict[str, Path]) -> dict[PredictorId, Scores] | dict[PredictorId, Trained]:
-    if "evaluate" in folders:
-        models = Evaluated.read(folders["evaluate"]).models
-        return {contender: scores for contender, scores in models.items() if contender.is_network}
-    return {PredictorId(node.model): Trained.read(folders[node.name]) for node in run.nodes if node.model}
-
-
-def _numbers(measured: Scores | Trained) -> dict[str, float | None]:
-    numbers = {"mse": measured.mse, "eps_sup": measured.eps_sup}
-    if isinstance(measured, Scores):
-        radius = measured.radius
-        numbers |= {"eps_kappa": measured.eps_kappa, "radius": radius.median, "radius_worst": radius.worst}
-        numbers |= {"converged": radius.converged}
-    keys = ("mse", "eps_sup", "eps_kappa", "radius", "radius_worst", "converged")
-    return {key: number if math.isfinite(number := numbers.get(key, math.nan)) else None for key in keys}
-
-
-def _latency(benched: Benched | None, contender: PredictorId, dx: float) -> float | None:
-    rows = benched.table if benched and contender.epoch is None else []
-    times = [row.median_us for row in rows if row.predictor == contender.model and abs(row.dx - dx) < dx / 10]
-    return min(times, default=None)
+        every = {key: known.get(key) for key in MEASURED} | {"latency_us": latency}
+        yield Row(cell.values, contender.name, every, artifacts[source].name)
 
 
 def dominated(points: np.ndarray) -> np.ndarray:
     """A mask (N,) of the points (N, k) for which another is nowhere larger and somewhere smaller."""
-    beaten = np.zeros(len(points), dtype=bool)
-    for index, point in enumerate(points):
-        beaten[index] = ((points <= point).all(axis=1) & (points < point).any(axis=1)).any()
-    return beaten
+    beaten = [((points <= point).all(axis=1) & (points < point).any(axis=1)).any() for point in points]
+    return np.array(beaten, dtype=bool)
 
 
 def front(rows: Sequence[Numbers]) -> list[bool]:
@@ -204,16 +188,11 @@ def front(rows: Sequence[Numbers]) -> list[bool]:
 
     A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
     """
-    axes = measured_axes(rows)
+    axes = [axis for axis in AXES if any(row[axis] is not None for row in rows)]
     points = np.array([[np.inf if row[axis] is None else row[axis] for axis in axes] for row in rows], dtype=float)
     if not axes:
         return [False] * len(rows)
     return (~dominated(points) & np.isfinite(points).all(axis=1)).tolist()
-
-
-def measured_axes(rows: Sequence[Numbers]) -> list[str]:
-    """The axes of which some row has a number."""
-    return [axis for axis in AXES if any(row[axis] is not None for row in rows)]
 
 
 def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
@@ -221,40 +200,30 @@ def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
     The numbers in it count the rows, from 1.
     """
-    axes = measured_axes([row.numbers for row in rows])
-    pairs = [pair for pair in PAIRS if set(pair) <= set(axes)]
-    if not pairs:
+    contenders = {each.name: each for each in ranked(PredictorId.parse(row.model) for row in rows)}
+    panels = []
+    for x, y in PAIRS:
+        shown = {k: row for k, row in enumerate(rows, 1) if None not in (row.numbers[x], row.numbers[y])}
+        if all(any(row.numbers[axis] is not None for row in rows) for axis in (x, y)):
+            alt = f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
+            panels.append(Panel(f"{AXES[y]} versus {AXES[x]}", alt, partial(_panel, shown, contenders, x, y)))
+    if not panels:
         return []
-    panels = tuple(
-        Panel(f"{AXES[y]} versus {AXES[x]}", _alt(rows, x, y), partial(_panel, rows, x, y)) for x, y in pairs
-    )
     caption = "One point per row of the table; the line is the front, and its numbers are the table's rows."
-    figures.write(Figure("front", "The front", caption, panels, legend([*_contenders(rows).values()])), folder)
+    figures.write(Figure("front", "The front", caption, panels, legend([*contenders.values()])), folder)
     return [folder / "front.svg", folder / "front.png"]
 
 
-def _contenders(rows: Sequence[Row]) -> dict[str, PredictorId]:
-    contenders = ranked(PredictorId.parse(model) for model in dict.fromkeys(row.model for row in rows))
-    return {contender.name: contender for contender in contenders}
-
-
-def _alt(rows: Sequence[Row], x: str, y: str) -> str:
-    shown = [row for row in rows if None not in (row.numbers[x], row.numbers[y])]
-    return f"{len(shown)} networks by {AXES[x]} and {AXES[y]}."
-
-
-def _panel(rows: Sequence[Row], x: str, y: str, axis: "Axes") -> None:
-    shown = [(k, row) for k, row in enumerate(rows, 1) if None not in (row.numbers[x], row.numbers[y])]
-    points = np.array([[row.numbers[x], row.numbers[y]] for _, row in shown], dtype=float).reshape(-1, 2)
+def _panel(shown: dict[int, Row], contenders: dict[str, PredictorId], x: str, y: str, axis: Axes) -> None:
+    points = np.array([[row.numbers[x], row.numbers[y]] for row in shown.values()], dtype=float).reshape(-1, 2)
     points = np.maximum(points, SMALLEST)
-    best = ~dominated(points)
-    contenders = _contenders(rows)
-    for model in dict.fromkeys(row.model for _, row in shown):
-        of_model = np.array([row.model == model for _, row in shown])
+    for model in dict.fromkeys(row.model for row in shown.values()):
+        of_model = np.array([row.model == model for row in shown.values()])
         axis.plot(*points[of_model].T, "o", color=line_of(contenders[model]).colour)
+    best = ~dominated(points)
     order = np.flatnonzero(best)[np.argsort(points[best, 0])]
     axis.plot(*points[order].T, color=ROLES["muted"][0], zorder=0, drawstyle="steps-post")
     for k in order[:NAMED]:
-        axis.annotate(str(shown[k][0]), tuple(points[k]), xytext=(4, 3), textcoords="offset points")
+        axis.annotate(str([*shown][k]), tuple(points[k]), xytext=(4, 3), textcoords="offset points")
     axis.set_xlabel(AXES[x])
     log(axis, "x", "y")

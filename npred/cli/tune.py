@@ -2,11 +2,11 @@
 
 from os.path import relpath
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, writable
+from npred.cli.options import Planned, flag, rewritable, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
@@ -18,10 +18,15 @@ from npred.lab.stages.tuning.cost import ALPHA, LAW, LqrWeights
 from npred.lab.stages.tuning.tune import tune as search
 from npred.plants import Plant
 
-MADE = "# made by npred tune"
 
-
-def tune(options: Planned, free: list[str], output: Path | None) -> None:
+def tune(
+    options: Planned,
+    *,
+    free: Annotated[
+        list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")
+    ] = None,
+    output: Annotated[Path | None, flag("A pipeline with the new numbers.", "-o", "--output", word="FILE")] = None,
+) -> None:
     """The answer as a table before -> after; with `output` a pipeline with the new numbers, where there is a gain.
 
     Raises ConfigError for a flag, or a file of somebody else.
@@ -29,32 +34,8 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
     tables = config.table(options.pipeline)
     for override in options.set or []:
         config.override(tables, override)
-    _free(tables, free)
-    pipeline = config.parse(tables, str(options.pipeline))
-    if output and writable(output).exists() and not output.read_text("utf-8", "replace").startswith(MADE):
-        raise ConfigError(f"{output}: expected no such file, or one that npred tune made; name another by -o")
-    planner = options.planner()
-    with interruption.graceful("interrupted; the numbers are the best up to then"):
-        result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
-        text = _table(result, options.console.width)
-        if output and result.gained:
-            output.write_text(
-                f"{MADE} {options.pipeline.name}\n# {result.sentence}\n\n"
-                + _pipeline(
-                    map_paths(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result
-                ),
-                encoding="utf-8",
-            )
-            text += f"\nwrote {output}"
-        elif output:
-            text += "\nno pipeline was written"
-        options.show(result.json_object(), lambda: text)
-
-
-def _free(tables: dict[str, Any], flags: list[str]) -> None:
-    """Add NAME or NAME=LOW:HIGH to the table [tune]."""
-    for flag in flags:
-        name, sign, span = flag.partition("=")
+    for text in free or []:
+        name, sign, span = text.partition("=")
         table = tables.setdefault("tune", {})
         if name not in (*LAW, *table.setdefault("free", [])):
             table["free"].append(name)
@@ -63,7 +44,21 @@ def _free(tables: dict[str, Any], flags: list[str]) -> None:
                 low, high = map(float, span.split(":"))
                 table.setdefault("bounds", {})[name] = [low, high]
         except ValueError:
-            raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {flag!r}; write k1=0.5:5, say") from None
+            raise ConfigError(f"--free: expected NAME or NAME=LOW:HIGH, got {text!r}; write k1=0.5:5, say") from None
+    pipeline = config.parse(tables, str(options.pipeline))
+    head = rewritable(writable(output), "tune") if output else ""
+    planner = options.planner()
+    with interruption.graceful("interrupted; the numbers are the best up to then"):
+        result = search(pipeline, planner.plant, options.jobs or devices.cores(), options.console)
+        text = _table(result, options.console.width)
+        if output and result.gained:
+            there = map_paths(tables, lambda file: relpath(file, output.parent))
+            written = f"{head} {options.pipeline.name}\n# {result.sentence}\n\n"
+            output.write_text(written + _pipeline(there, pipeline, planner.plant, result), encoding="utf-8")
+            text += f"\nwrote {output}"
+        elif output:
+            text += "\nno pipeline was written"
+        options.show(result.json_object(), lambda: text)
 
 
 def _table(result: Tuned, width: int | None) -> str:

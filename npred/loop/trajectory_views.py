@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +60,10 @@ def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
 
 
 def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None) -> np.ndarray:
-    """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay."""
+    """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay.
+
+    Raises ConfigError for an `ax` that is not one axes for each panel.
+    """
     named = dict(series(loops))
     if ax is None:
         from matplotlib import pyplot
@@ -68,12 +71,21 @@ def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None
         figure = pyplot.figure(figsize=_size(len(named)), layout="constrained")
         axes = figure.subplots(len(named), 1, sharex=True, squeeze=False)[:, 0]
     else:
-        axes = _taken(ax, [*named])
+        axes = np.ravel(np.array(ax, dtype=object))
+        drawn = all(hasattr(panel, "axhline") for panel in axes)
+        if len(axes) != len(named) or not drawn:
+            axes_of, got = f"matplotlib axes, for {', '.join(named)}", f"{len(axes)} axes" if drawn else repr(ax)
+            todo = "give what the first loop.plot() returned"
+            raise ConfigError(f"ax: expected {len(named)} {axes_of}, got {got}; {todo}")
     # what has a label has one colour in all panels, the next one of matplotlib's cycle
     colour = {} if label is None else {"color": f"C{len(axes[0].get_legend_handles_labels()[1])}"}
     for panel, (name, values) in zip(axes, named.items(), strict=True):
         lines = panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2, **colour)
-        panel.set_ylabel(_axis_label(loops, name))
+        declared = name.removeprefix("X.").removeprefix("U.")
+        unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
+        text = (loops.labels or {}).get(declared, name) + (f" ({unit})" if unit else "")
+        text = re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text)  # subscripts and powers as matplotlib sets them
+        panel.set_ylabel(re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", text))
         panel.grid(visible=True, alpha=0.3)
         if label is not None:
             lines[0].set_label(label)
@@ -107,24 +119,6 @@ def _size(panels: int) -> tuple[float, float]:
     return 6.4, 1.0 + 1.2 * panels
 
 
-def _taken(ax: Any, names: Sequence[str]) -> np.ndarray:
-    """A caller's axes, one for each series. Raises ConfigError for another number of them, and for what is no axes."""
-    axes = np.ravel(np.array(ax, dtype=object))
-    drawn = all(hasattr(panel, "axhline") for panel in axes)
-    if len(axes) != len(names) or not drawn:
-        axes_of, got = f"matplotlib axes, for {', '.join(names)}", f"{len(axes)} axes" if drawn else repr(ax)
-        raise ConfigError(f"ax: expected {len(names)} {axes_of}, got {got}; give what the first loop.plot() returned")
-    return axes
-
-
-def _axis_label(loops: "Trajectories", name: str) -> str:
-    """A series' declared label, else its name, with its unit in brackets; subscripts and powers as matplotlib sets."""
-    declared = name.removeprefix("X.").removeprefix("U.")
-    unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
-    text = (loops.labels or {}).get(declared, name) + (f" ({unit})" if unit else "")
-    return re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text))
-
-
 def dataframe(loops: "Trajectories") -> Any:
     """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
 
@@ -154,19 +148,17 @@ def series(loops: "Trajectories") -> Iterator[tuple[str, np.ndarray]]:
     Without names they are X1, X2, …, U1, …; a name that stands twice, or is D_hat, gets its letter in front.
     Raises ConfigError where the names do not fit the arrays.
     """
-    names = {"X": _names("X", loops.X, loops.states), "U": _names("U", loops.U, loops.inputs)}
+    names: dict[str, tuple[str, ...]] = {}
+    for letter, values, declared in (("X", loops.X, loops.states), ("U", loops.U, loops.inputs)):
+        size = values.shape[-1]
+        if declared and len(declared) != size:
+            raise ConfigError(f"Trajectories: expected {size} names for {letter}, got {', '.join(declared)}; name each")
+        names[letter] = declared or tuple(f"{letter}{k + 1}" for k in range(size))
     every = [*names["X"], *names["U"], "D_hat"]
     for letter, values in (("X", loops.X), ("U", loops.U)):
         for k, name in enumerate(names[letter]):
             yield name if every.count(name) == 1 else f"{letter}.{name}", values[..., k]
     yield "D_hat", loops.D_hat
-
-
-def _names(letter: str, values: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
-    size = values.shape[-1]
-    if names and len(names) != size:
-        raise ConfigError(f"Trajectories: expected {size} names for {letter}, got {', '.join(names)}; name each")
-    return names or tuple(f"{letter}{k + 1}" for k in range(size))
 
 
 def _span(values: np.ndarray) -> str:

@@ -7,7 +7,7 @@ import pytest
 
 import npred
 from npred.lab.report import figures
-from npred_rig import figure, log
+from npred_rig import log
 
 PLANT, DT = npred.plant("scalar"), 0.01
 LATE = 1e-4
@@ -65,7 +65,7 @@ def test_the_last_row_is_the_last_call(path):
 
 
 def test_the_figure_has_a_panel_for_each_series(path):
-    plate = figure.rig(PLANT, "drawn", *log.read(path)[:2])
+    plate = log.figure(PLANT, "drawn", log.read(path))
     assert [panel.title for panel in plate.panels] == ["X", "U", "delay estimate D̂ (s)", "age of the sample (s)"]
     assert "ends at 0.3, the stamps say 0.29" in plate.panels[2].alt
     figures.write(plate, path.parent, formats=["svg"])

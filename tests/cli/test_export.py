@@ -97,8 +97,6 @@ def test_a_graph_that_differs_is_refused(export):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["onyx"], "onyx: expected a command of npred export, found no such; did you mean onnx?"),
-        (["c", "--fmi", "2"], "--fmi: expected an option of npred export c, found no such"),
         (["c", "--nx", "1"], "--nx: expected at least 2 nodes"),
         (["c", "-o", "nowhere/m.c"], "nowhere/m.c: expected a file that can be written"),
     ],
@@ -108,6 +106,16 @@ def test_mistakes_are_told_in_one_line(export, arguments, message):
     assert (done.exit_code, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert message in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["onyx"], "Error: No such command 'onyx'."), (["c", "--fmi", "2"], "Error: No such option: --fmi")],
+)
+def test_a_format_or_an_option_that_there_is_not_is_refused(export, arguments, message):
+    done = export(*arguments)
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert message in done.stderr
 
 
 def test_a_controller_to_a_folder(export):

@@ -10,9 +10,8 @@ from conftest import Call, one_line
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from npred.base.errors import MissingError
-from npred.lab.report.terminal import run_log
-from npred.lab.report.terminal.console import Console
-from npred.lab.report.terminal.run_log import Events, RunLog
+from npred.lab.report.terminal import console as terminal
+from npred.lab.report.terminal.console import Console, Events, RunLog
 
 EPOCHS = [{"epoch": k, "lr": 0.1, "loss": 1.0 / k, "mse": 0.5 / k, "eps_sup": 2.0 / k} for k in (1, 2, 3)]
 
@@ -35,7 +34,7 @@ def test_lines_have_the_time_and_move_no_cursor(tmp_path: Path):
 
 
 def test_two_runs_in_a_second_have_a_log_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(run_log.time, "strftime", lambda form: "2000-01-01-000000")
+    monkeypatch.setattr(terminal.time, "strftime", lambda form: "2000-01-01-000000")
     first, second = RunLog.open(tmp_path, "tiny"), RunLog.open(tmp_path, "tiny")
     assert first and second and first.path != second.path
     assert second.path.name == f"2000-01-01-000000-tiny-{os.getpid()}.log"
@@ -45,12 +44,12 @@ def test_old_logs_make_room_and_what_is_not_a_log_stays(tmp_path: Path):
     folder = tmp_path / "logs"
     folder.mkdir()
     (folder / "notes.txt").touch()
-    for k in range(run_log.KEPT + 5):
+    for k in range(terminal.KEPT + 5):
         (folder / f"2000-01-01-{k:06d}-tiny.log").touch()
     log = RunLog.open(tmp_path, "tiny")
     assert log is not None
     names = sorted(path.name for path in folder.iterdir())
-    assert len(names) == run_log.KEPT + 1 and names[0] == "2000-01-01-000006-tiny.log"
+    assert len(names) == terminal.KEPT + 1 and names[0] == "2000-01-01-000006-tiny.log"
     assert {"notes.txt", log.path.name} < set(names)
 
 

@@ -1,19 +1,20 @@
-"""Figures of accuracy: how networks learn, and their errors on held-out samples: over x, delays, states and kinds."""
+"""The accuracy of networks: how they learn, their errors on held-out samples, and what is known of them for certain."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from npred.lab.config.results import PredictorId
+from npred.lab.config.results import Certified, PredictorId
 from npred.lab.report.figures.evaluation_data import OF, ErrorArrays, EvaluationData
-from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, legend
-from npred.lab.report.figures.notation import common_unit, quantity, symbol
-from npred.lab.report.figures.style import ROLES, Axes, LineStyle, lettered, line_of, log, positive, power, short
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves, legend
+from npred.lab.report.figures.loops import ends
+from npred.lab.report.figures.notation import common_unit, quantity, symbol, with_unit
+from npred.lab.report.figures.style import DOTTED, ROLES, Axes, lettered, line_of, log, power, short
+from npred.plants import Plant
 
 BINS = 24
-CELLS = (18, 14)  # of the map over the first two states
+CELLS = (18, 14)  # cells of the map over the first two states
 LEVELS = 9  # colours of that map
 ABOUT = {
     "nominal": "nominal rollouts have the experiment's delays",
@@ -21,7 +22,8 @@ ABOUT = {
     "redrawn": "a redrawn D̂ is not the loop's",
 }
 Epochs = list[dict[str, float]]
-SHOWN = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
+METRICS = {"loss": "training loss", "mse": "held-out mean square", "eps_sup": "held-out sup error ε"}
+SHARES = np.linspace(0, 1, 201)
 
 
 def errors(evaluation: EvaluationData) -> Figure:
@@ -29,33 +31,41 @@ def errors(evaluation: EvaluationData) -> Figure:
     plant, by_network = evaluation.plant, evaluation.errors
     sup = "; ".join(f"{network.label} {error.sup.max():.2e}" for network, error in by_network.items())
     half = "; ".join(f"{network.label} {np.median(error.sup):.2e}" for network, error in by_network.items())
-
-    def over_x(axis: Axes) -> None:
-        for network, error in by_network.items():
-            x = np.linspace(0, 1, len(error.over_x))
-            _draw_band(axis, network, x, error.over_x[:, 0], error.over_x[:, -1])
-        axis.set(xlabel="x", xlim=(0, 1))
-        log(axis, "y")
-
+    bands = []
+    for network, error in by_network.items():
+        x = np.linspace(0, 1, len(error.over_x))
+        bands.append((line_of(network), x, error.over_x[:, -1], error.over_x[:, 0]))
     caption = (
         f"|P̂ − P| on {len(evaluation.D_hat)} {evaluation.samples}, "
         f"in {common_unit(plant, plant.states, 'state units')}. Lines: the largest error, shaded: from the median to "
         "it. x = 0 is now, x = 1 the state one delay ahead, which the control acts on."
     )
+    over = _over(evaluation.D_hat, by_network, quantity(plant, "D_hat"))
+    shares = _distribution({network: error.sup for network, error in by_network.items()})
     panels = [
-        Panel("error versus x", f"Largest error over all x: {sup}.", over_x),
-        Panel(
-            f"error versus {symbol(plant, 'D_hat')}",
-            f"Largest error by delay; over all: {sup}.",
-            _over(evaluation.D_hat, by_network, quantity(plant, "D_hat")),
-        ),
-        Panel(
-            "share of samples below ε",
-            f"Distribution of the largest error over x; median: {half}.",
-            _distribution({network: error.sup for network, error in by_network.items()}),
-        ),
+        Panel("error versus x", f"Largest error over all x: {sup}.", curves(bands, "x", "y", xlim=(0, 1))),
+        Panel(f"error versus {symbol(plant, 'D_hat')}", f"Largest error by delay; over all: {sup}.", over),
+        Panel("share of samples below ε", f"Distribution of the largest error over x; median: {half}.", shares),
     ]
     return Figure("errors", "Where networks err", caption, panels, legend([*by_network]))
+
+
+def _over(values: np.ndarray, by_network: Mapping[PredictorId, ErrorArrays], label: str) -> Callable[[Axes], None]:
+    """Draws the median and the largest error in each of BINS ranges of these values."""
+    edges = np.linspace(values.min(), values.max(), BINS + 1)
+    which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
+    bands = []
+    for network, error in by_network.items():
+        parts = [error.sup[which == k] for k in range(BINS)]
+        middle, sup = (np.array([f(part) if len(part) else np.nan for part in parts]) for f in (np.median, np.max))
+        bands.append((line_of(network), (edges[1:] + edges[:-1]) / 2, sup, middle))
+    return curves(bands, label, "y")
+
+
+def _distribution(sup_by_network: Mapping[PredictorId, np.ndarray], **limits: object) -> Callable[[Axes], None]:
+    """Draws the share of samples (N,) whose error is below ε, a line per network."""
+    lines = [(line_of(network), np.quantile(sup, SHARES), SHARES) for network, sup in sup_by_network.items()]
+    return curves(lines, "ε", "x", ylim=(0, 1.02), **limits)
 
 
 def box(evaluation: EvaluationData) -> Figure:
@@ -109,41 +119,6 @@ def worst(X: np.ndarray, sup: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]
     return edges, np.where(np.isfinite(largest), largest, np.nan)
 
 
-def _draw_band(axis: Axes, network: PredictorId, x: np.ndarray, middle: np.ndarray, sup: np.ndarray) -> None:
-    line = line_of(network)
-    axis.plot(x, positive(sup), **line.line)
-    axis.fill_between(x, positive(middle), positive(sup), color=line.colour, alpha=0.14, linewidth=0)
-
-
-def _over(values: np.ndarray, by_network: Mapping[PredictorId, ErrorArrays], label: str) -> Callable[[Axes], None]:
-    """Draws the median and the largest error in each of BINS ranges of these values."""
-    edges = np.linspace(values.min(), values.max(), BINS + 1)
-    which = np.clip(np.digitize(values, edges) - 1, 0, BINS - 1)
-
-    def draw(axis: Axes) -> None:
-        for network, error in by_network.items():
-            parts = [error.sup[which == k] for k in range(BINS)]
-            middle, sup = (np.array([f(part) if len(part) else np.nan for part in parts]) for f in (np.median, np.max))
-            _draw_band(axis, network, (edges[1:] + edges[:-1]) / 2, middle, sup)
-        axis.set_xlabel(label)
-        log(axis, "y")
-
-    return draw
-
-
-def _distribution(sup_by_network: Mapping[PredictorId, np.ndarray], **limits: Any) -> Callable[[Axes], None]:
-    """Draws the share of samples (N,) whose error is below ε, a line per network."""
-
-    def draw(axis: Axes) -> None:
-        share = np.linspace(0, 1, 201)
-        for network, sup in sup_by_network.items():
-            axis.plot(positive(np.quantile(sup, share)), share, **line_of(network).line)
-        axis.set(xlabel="ε", ylim=(0, 1.02), **limits)
-        log(axis, "x")
-
-    return draw
-
-
 def kinds(evaluation: EvaluationData) -> Figure | None:
     """The distribution of the error on rows of each kind, all on one scale; None where there is one kind alone."""
     if len(evaluation.kinds) < 2:
@@ -154,9 +129,8 @@ def kinds(evaluation: EvaluationData) -> Figure | None:
     panels = []
     for kind, networks in evaluation.kinds.items():
         ends = [f"{network.label} {short(np.median(sup))} and {short(sup.max())}" for network, sup in networks.items()]
-        panels.append(
-            Panel(OF[kind], f"Median and largest error: {'; '.join(ends)}.", _distribution(networks, xlim=span))
-        )
+        alt = f"Median and largest error: {'; '.join(ends)}."
+        panels.append(Panel(OF[kind], alt, _distribution(networks, xlim=span)))
     about = ", ".join(ABOUT[kind] for kind in evaluation.kinds if kind in ABOUT)
     caption = f"The share of held-out rows whose largest |P̂ − P| over x is below ε, by kind of row: {about}."
     return Figure("kinds", "By kind of row", caption, panels, legend([*evaluation.errors]))
@@ -165,27 +139,97 @@ def kinds(evaluation: EvaluationData) -> Figure | None:
 def learning(histories: Mapping[PredictorId, Epochs]) -> Figure:
     """The metrics of each network's epochs, as its training left them."""
     solid = {network: replace(line_of(network), dash=()) for network in histories}  # dashes hide roughness
+    panels = []
+    for key, title in METRICS.items():
+        lines, told = [], []
+        for network, epochs in histories.items():
+            values = [row[key] for row in epochs]
+            marked = replace(solid[network], marker="" if len(epochs) > 1 else "o")  # one point makes no line
+            lines.append((marked, [row["epoch"] for row in epochs], values))
+            told.append(f"{network.label} {values[0]:.2e} to {values[-1]:.2e} in {len(epochs)} epochs")
+        panels.append(Panel(title, f"{title}: {'; '.join(told)}.", curves(lines, "epoch", "y")))
     caption = (
         "One point per epoch. The loss differs by network; the errors are in state units, on the rollouts that the "
         "data hold out."
     )
-    panels = [_learning_panel(title, key, histories, solid) for key, title in SHOWN.items()]
     entries = [LegendEntry(network.label, style) for network, style in solid.items()]
     return Figure("learning", "Training", caption, panels, entries)
 
 
-def _learning_panel(
-    title: str, key: str, histories: Mapping[PredictorId, Epochs], lines: Mapping[PredictorId, LineStyle]
-) -> Panel:
-    def draw(axis: Axes) -> None:
-        for network, epochs in histories.items():
-            marked = replace(lines[network], marker="" if len(epochs) > 1 else "o")  # one point makes no line
-            axis.plot([row["epoch"] for row in epochs], [row[key] for row in epochs], **marked.line)
-        axis.set_xlabel("epoch")
-        log(axis, "y")
+def certificate(evaluation: EvaluationData) -> Figure:
+    """Error against radius with the line of theory, the distance to the target, and W(t) [DAPF, Theorem 3]."""
+    plant, gain = evaluation.plant, evaluation.gain
+    radii = {
+        predictor: scores
+        for predictor, scores in evaluation.models.items()
+        if 0 < scores.eps_kappa < np.inf and 0 < scores.radius.median < np.inf
+    }
 
-    ends = [
-        f"{network.label} {rows[0][key]:.2e} to {rows[-1][key]:.2e} in {len(rows)} epochs"
-        for network, rows in histories.items()
+    def draw(axis: Axes) -> None:
+        for predictor, row in radii.items():
+            eps, median, worst = row.eps_kappa, row.radius.median, row.radius.worst
+            colour, marker = line_of(predictor).colour, "o" if predictor.epoch is None else "s"
+            worst = worst if 0 < worst < np.inf else np.nan
+            axis.plot([eps, eps], [median, worst], "-", color=colour, linewidth=1.0)
+            axis.plot([eps], [median], marker, color=colour)
+            axis.plot([eps], [worst], marker, markerfacecolor=ROLES["paper"][0], markeredgecolor=colour)
+        if radii and np.isfinite(gain):
+            eps = [row.eps_kappa for row in radii.values()]
+            span = np.array([min(eps) / 3, max(eps) * 3])
+            axis.plot(span, gain * span, **DOTTED.line)
+        axis.set_xlabel(with_unit("ε_{κ} on held-out samples", common_unit(plant, plant.inputs)))
+        log(axis, "x", "y")
+
+    told = [
+        f"{predictor.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
+        f"{short(row.radius.worst)} (worst)"
+        for predictor, row in radii.items()
     ]
-    return Panel(title, f"{title}: {'; '.join(ends)}.", draw)
+    alt = "; ".join(told) + "." if told else "No network's loops stay finite."
+    theory, entries = "", legend([*evaluation.loops])
+    if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
+        theory = (
+            f". Dotted: the radius of a constant error ε of U, {gain:.4g} ε; {gain:.4g} is the gain, the distance per ε"
+        )
+        entries.append(LegendEntry(f"constant error: {gain:.4g} ε", DOTTED))
+    beside = ends(evaluation)
+    others = "Distance and W" if len(beside) > 1 else "Distance"
+    caption = (
+        "Radius: where loops end (filled: median over the cases, hollow: worst; squares: stopped early) against the "
+        f"error that control sees{theory}. {others}: the loop of the first figure over time."
+    )
+    panels = [Panel("radius versus ε_{κ}", alt, draw), *beside]
+    return Figure("certificate", "Error and radius", caption, panels, entries)
+
+
+def certified(plant: Plant, result: Certified | None, errors: Mapping[PredictorId, np.ndarray]) -> Figure | None:
+    """The share of rollouts with a larger error of U than ε, by network; None without a certificate."""
+    if result is None:
+        return None
+    first = next(iter(result.models.values()))
+
+    lines = []
+    for network, row in result.models.items():
+        ordered, line = np.sort(errors[network]), line_of(network)
+        share = 1 - np.arange(len(ordered)) / len(ordered)
+        lines.append((line, ordered, share))
+        if row.adversarial and row.adversarial < np.inf:
+            lines.append((replace(line, width=0, marker="x"), [row.adversarial], share[-1:]))
+    shares = curves(lines, with_unit("ε, of U", common_unit(plant, plant.inputs)), "x", "y")
+
+    def draw(axis: Axes) -> None:
+        axis.axvline(first.tolerance, **DOTTED.line)
+        shares(axis)
+
+    crosses = "" if first.adversarial is None else "; crosses: the largest error that an adversary found"
+    caption = (
+        f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U, over inputs and over "
+        f"{first.samples or 'some'} random samples of a rollout, is above ε. With a confidence "
+        f"of {first.confidence:.4g}, at most a share {first.probability:.4g} of all such rollouts is above the end of "
+        f"a line{crosses}. Dotted: the tolerance of the guard. It holds for "
+        f"the distribution that rollouts are drawn from."
+    )
+    alt = "; ".join(f"{network.label}: at most {short(row.eps_kappa)}" for network, row in result.models.items()) + "."
+    tolerance = LegendEntry(f"tolerance {first.tolerance:.4g}", DOTTED)
+    panels = [Panel("share of rollouts above ε", alt, draw)]
+    return Figure("certified", "With a confidence", caption, panels, [*legend([*result.models]), tolerance])

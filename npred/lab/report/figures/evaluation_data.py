@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from npred.lab.config.results.evaluate import Scores
 from npred.lab.training.data import hdf5
 from npred.plants import Plant
 
+Key = TypeVar("Key")
 LOOP = {"t": 1, "X": 2, "U": 2, "D_hat": 1, "N": 1}  # axes of each array
 ERRORS = {"sup": 1, "over_x": 2}
-OF = {  # the rows of each kind, in words
+OF = {  # rows by kind, in words
     "nominal": "nominal rollouts",
     "exploring": "exploring rollouts",
     "redrawn": "rows with a redrawn D̂",
@@ -79,44 +81,40 @@ class EvaluationData:
         """The files in the folder of an evaluate artifact with that result."""
         predictors = list(result.models)
         networks = [predictor for predictor in predictors if predictor.is_network]
-        errors, loops = folder / "errors.h5", folder / "figure1.h5"
-        (held_out,) = _arrays(errors, [""], {"X": 2, "D_hat": 1})
-        prefixes = {kind: f"kinds/{kind}/" if number else "" for number, kind in enumerate(result.kinds)}
-        kinds = {
-            kind: _arrays(errors, [f"{prefix}networks/{network.name}/" for network in networks], {"sup": 1})
-            for kind, prefix in prefixes.items()
-        }
-        densities = {f"loops/{each.name}": each for each in predictors if each.epoch is None}
-        quantities = [*plant.states, *plant.inputs, "D_hat"]
-        axes = dict.fromkeys(("edges", "data", *densities), 1)
-        histograms = _arrays(folder / "coverage.h5", [f"{name}/" for name in quantities], axes)
+        final = {f"loops/{each.name}": each for each in predictors if each.epoch is None}
+        errors, quantities = folder / "errors.h5", (*plant.states, *plant.inputs, "D_hat")
 
         def series(group: str) -> dict[PredictorId, LoopSeries]:
-            rows = _arrays(loops, [f"{group}{predictor.name}/" for predictor in predictors], LOOP)
-            return {predictor: LoopSeries(**arrays) for predictor, arrays in zip(predictors, rows, strict=True)}
+            arrays = _arrays(folder / "figure1.h5", {each: f"{group}{each.name}/" for each in predictors}, LOOP)
+            return {predictor: LoopSeries(**each) for predictor, each in arrays.items()}
 
-        by_network = _arrays(errors, [f"networks/{network.name}/" for network in networks], ERRORS)
+        def by_network(group: str, axes: dict[str, int]) -> dict[PredictorId, dict[str, np.ndarray]]:
+            return _arrays(errors, {network: f"{group}networks/{network.name}/" for network in networks}, axes)
+
+        kinds = {}
+        for number, kind in enumerate(result.kinds):
+            arrays = by_network(f"kinds/{kind}/" if number else "", {"sup": 1})
+            kinds[kind] = {network: each["sup"] for network, each in arrays.items()}
+        densities = dict.fromkeys(("edges", "data", *final), 1)
+        histograms = _arrays(folder / "coverage.h5", {name: f"{name}/" for name in quantities}, densities)
         return cls(
             plant,
             config,
             result.models,
             result.gain,
             loops=series(""),
-            **held_out,
-            errors={network: ErrorArrays(**each) for network, each in zip(networks, by_network, strict=True)},
+            **_arrays(errors, {"": ""}, {"X": 2, "D_hat": 1})[""],
+            errors={network: ErrorArrays(**each) for network, each in by_network("", ERRORS).items()},
             coverage={
-                name: Histogram(h["edges"], h["data"], {densities[key]: h[key] for key in densities})
-                for name, h in zip(quantities, histograms, strict=True)
+                name: Histogram(h["edges"], h["data"], {predictor: h[key] for key, predictor in final.items()})
+                for name, h in histograms.items()
             },
-            kinds={
-                kind: {network: each["sup"] for network, each in zip(networks, arrays, strict=True)}
-                for kind, arrays in kinds.items()
-            },
+            kinds=kinds,
             bounded=series("bounded/") if config.bounded else {},
         )
 
 
-def _arrays(path: Path, groups: list[str], axes: dict[str, int]) -> list[dict[str, np.ndarray]]:
-    """Of each group (the file itself is "") the arrays of these names, with so many axes."""
-    with hdf5.opened(path, {group + name: count for group in groups for name, count in axes.items()}) as arrays:
-        return [{name: arrays[group + name][:] for name in axes} for group in groups]
+def _arrays(path: Path, groups: dict[Key, str], axes: dict[str, int]) -> dict[Key, dict[str, np.ndarray]]:
+    """The arrays of these names, with so many axes, in each group; the group of the file itself is ""."""
+    with hdf5.opened(path, {group + name: count for group in groups.values() for name, count in axes.items()}) as file:
+        return {key: {name: file[group + name][:] for name in axes} for key, group in groups.items()}

@@ -5,11 +5,11 @@ A page shows each panel by itself, as SVG in the colours of the page; a file for
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from npred.lab.report.figures.style import (
     Style,
     lettered,
     line_of,
+    log,
     medium,
 )
 
@@ -63,6 +64,28 @@ class Figure:
     caption: str
     panels: Sequence[Panel]
     legend: Sequence[LegendEntry] = ()
+
+
+def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **limits: Any) -> Callable[[Axes], None]:
+    """A function that draws lines (style, x, y), or bands (style, x, y, low) that are shaded down to `low`.
+
+    On a logarithmic side, "x" or "y", only what is positive and finite is drawn. `limits` are xlim and ylim.
+    """
+    lines = list(lines)
+
+    def shown(side: str, values: Any) -> Any:
+        values = np.asarray(values)
+        return np.where(np.isfinite(values) & (values > 0), values, np.nan) if side in logarithmic else values
+
+    def draw(axis: Axes) -> None:
+        for style, x, y, *lows in lines:
+            axis.plot(shown("x", x), shown("y", y), **style.line)
+            for low in lows:
+                axis.fill_between(x, shown("y", low), shown("y", y), color=style.colour, alpha=0.14, linewidth=0)
+        axis.set(xlabel=xlabel, **limits)
+        log(axis, *logarithmic)
+
+    return draw
 
 
 def legend(predictors: Sequence[PredictorId]) -> list[LegendEntry]:
@@ -124,6 +147,18 @@ def inline(panel: Panel, prefix: str) -> str:
 
     `prefix` makes its identifiers unique on the page.
     """
+
+    def shorter(number: re.Match[str]) -> str:
+        return f"{float(number[0]):.2f}".rstrip("0").rstrip(".")
+
+    def lowered(text: str) -> str:  # subscripts as spans below the line; what follows one comes back up
+        first, *parts = SUBSCRIPT.split(text)
+        spans = ""
+        for below, after in zip(parts[::2], parts[1::2], strict=True):
+            spans += f'<tspan font-size="72%" dy=".35em">{below}</tspan>'
+            spans += f'<tspan dy="-.252em">{after}</tspan>' if after else ""
+        return first + spans
+
     buffer = io.StringIO()
     with medium(SCREEN):
         canvas = _canvas(SCREEN.width, SCREEN.height)
@@ -136,25 +171,12 @@ def inline(panel: Panel, prefix: str) -> str:
     svg = re.sub(r'(?:xlink:)?(href="|url\()#', rf"\1#{prefix}-", svg)
     svg = re.sub(r"'DejaVu Sans'[^;\"]*", "inherit", svg)
     svg = re.sub("|".join(COLOURS), lambda colour: f"var(--{COLOURS[colour[0]]})", svg)
-    svg = re.sub(r'(?<= )(?:d|points|transform|x|y)="[^"]*"', _with_shorter_numbers, svg)
-    svg = re.sub(r"(<text[^>]*>)([^<]*)", lambda text: text[1] + _lowered(text[2]), svg)
+    numbers = re.compile(r'(?<= )(?:d|points|transform|x|y)="[^"]*"')
+    svg = numbers.sub(lambda part: re.sub(r"-?\d+\.\d+", shorter, part[0]), svg)
+    svg = re.sub(r"(<text[^>]*>)([^<]*)", lambda text: text[1] + lowered(text[2]), svg)
     words = {name: f'<{name} id="{prefix}-{name}">{escape(plain(text))}</{name}>'
              for name, text in (("title", panel.title), ("desc", panel.alt))}  # fmt: skip
     head, body = svg.split(">", 1)
     head = re.sub(r' (?:width|height|version|xmlns:xlink)="[^"]*"', "", head)  # the page gives it its size
     head += f' role="img" aria-labelledby="{prefix}-title {prefix}-desc"'
     return f"{head}>{words['title']}{words['desc']}{body}".strip()
-
-
-def _with_shorter_numbers(attribute: re.Match[str]) -> str:
-    return re.sub(r"-?\d+\.\d+", lambda number: f"{float(number[0]):.2f}".rstrip("0").rstrip("."), attribute[0])
-
-
-def _lowered(text: str) -> str:
-    """The subscripts of a text as spans below the line; what follows one comes back up."""
-    first, *parts = SUBSCRIPT.split(text)
-    spans = ""
-    for below, after in zip(parts[::2], parts[1::2], strict=True):
-        spans += f'<tspan font-size="72%" dy=".35em">{below}</tspan>'
-        spans += f'<tspan dy="-.252em">{after}</tspan>' if after else ""
-    return first + spans

@@ -7,7 +7,7 @@ from math import inf, isfinite
 from npred.base.registry import METHODS, NETWORKS, RUNTIMES, Entry, Registry
 from npred.lab.config.results import PredictorId, ranked
 from npred.lab.config.results.bench import CallTimes
-from npred.lab.report.figures.figure import Figure, LegendEntry, Panel
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves
 from npred.lab.report.figures.style import Axes, LineStyle, colours, log
 
 FAR = 1000  #: times the networks' error: no prediction any more, an unstable step say
@@ -34,18 +34,15 @@ def speed(rows: list[CallTimes]) -> Figure:
 
     def against_error(axis: Axes) -> None:
         for name, series in near.items():
-            style, best = styles[name], _unbeaten(series)
+            style, best = styles[name], list[CallTimes]()
+            for row in sorted(series, key=lambda row: (row.eps_sup, row.median_us)):
+                if not best or row.median_us < best[-1].median_us:  # so a line has no way back
+                    best.append(row)
             points = [row.eps_sup for row in series], [row.median_us for row in series]
             axis.plot(*points, style.marker, color=style.colour)
             line = replace(style, marker="").line
             axis.plot([row.eps_sup for row in best], [row.median_us for row in best], **line)
         axis.set_xlabel("sup error ε")
-        log(axis, "x", "y")
-
-    def against_dx(axis: Axes) -> None:
-        for name, series in grids.items():
-            axis.plot([row.dx for row in series], [row.median_us for row in series], **styles[name].line)
-        axis.set_xlabel("dx")
         log(axis, "x", "y")
 
     def tails(axis: Axes) -> None:
@@ -62,6 +59,7 @@ def speed(rows: list[CallTimes]) -> Figure:
         axis.grid(axis="y", visible=False)
         log(axis, "x")
 
+    over_dx = [(styles[name], [r.dx for r in rows], [r.median_us for r in rows]) for name, rows in grids.items()]
     quickest = {name: min(series, key=lambda row: row.median_us) for name, series in near.items()}
     front = [f"{name}: {row.median_us:.3g} µs at error {row.eps_sup:.1e}" for name, row in quickest.items()]
     by_dx = [
@@ -76,7 +74,7 @@ def speed(rows: list[CallTimes]) -> Figure:
     )
     panels = [
         Panel("µs per call versus ε", "; ".join(front) + ".", against_error),
-        Panel("µs per call versus dx", "; ".join(by_dx) + ".", against_dx),
+        Panel("µs per call versus dx", "; ".join(by_dx) + ".", curves(over_dx, "dx", "x", "y")),
         Panel("µs, median to 99.9 %", "; ".join(tail) + ".", tails),
     ]
     entries = [LegendEntry(name, style) for name, style in styles.items()]
@@ -112,12 +110,3 @@ def _series(rows: Iterable[CallTimes]) -> dict[str, list[CallTimes]]:
         return order.index(name) if name in order else len(order), item[0]
 
     return dict(sorted(series.items(), key=rank))
-
-
-def _unbeaten(rows: list[CallTimes]) -> list[CallTimes]:
-    """The rows that no other beats in error and time, by rising error: their times fall, so a line has no way back."""
-    best: list[CallTimes] = []
-    for row in sorted(rows, key=lambda row: (row.eps_sup, row.median_us)):
-        if not best or row.median_us < best[-1].median_us:
-            best.append(row)
-    return best

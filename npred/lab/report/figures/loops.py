@@ -1,26 +1,35 @@
-"""The loop of [DAPF, Fig. 1] with each predictor: states, input and delay estimate, differences, and coverage."""
+"""Closed loops with each predictor: [DAPF, Fig. 1], other conditions, other delays, and how the data cover them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
 
+from npred.diagnosis.delay_margin import MismatchedLoop, delay_margin
 from npred.lab.config import conditions
 from npred.lab.config.results import NUMERICAL, PredictorId
+from npred.lab.config.results.evaluate import Behaviour, Conditions, DelayMap
 from npred.lab.report.figures.evaluation_data import EvaluationData, Histogram
-from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, legend
+from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves, legend
 from npred.lab.report.figures.notation import common_unit, quantity, symbol, timed, with_unit
-from npred.lab.report.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, positive, short
+from npred.lab.report.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, short
 from npred.loop import lyapunov, metrics
+from npred.plants import Plant
 
-GOAL: dict[str, Any] = DOTTED | {"linewidth": 0.8, "zorder": 0}
-ROUNDS = 30  # of the fixed-point iteration for when a command acts
+GOAL = replace(DOTTED, width=0.8)
+ROUNDS = 30  # rounds of the fixed-point iteration for when a command acts
+MARK = (0.01, 9)  # a dash that leaves a legend's marker alone
+SPREAD = 0.5  # share of a scenario's room between its first and its last predictor
+REACH = 1e-4  # share of the largest value: further left on a logarithmic side are arrows
+POINTS, BEYOND = 80, 1.5  # estimates that are looked at for the delay margin, up to so many times the margin
+FAR = 2.0  # in D, where the margin has no end
 
 
 def figure1(evaluation: EvaluationData) -> Figure:
     """x, U and D_hat over time [DAPF, Fig. 1], and how far each loop is from the numerical predictor's."""
     plant, loops, t = evaluation.plant, evaluation.loops, evaluation.loops[NUMERICAL].t
+    over_t: Any = {"xlabel": timed(plant, "t"), "xlim": (t[0], t[-1])}
     columns = {predictor: np.column_stack([loop.X, loop.U, loop.D_hat]) for predictor, loop in loops.items()}
     kept, panels = _converging(evaluation), []
     for k, (name, goal) in enumerate(_goals(evaluation, t).items()):
@@ -30,14 +39,8 @@ def figure1(evaluation: EvaluationData) -> Figure:
         ends = "; ".join(f"{predictor.label} {each[0]:.4g} to {each[-1]:.4g}" for predictor, each in series.items())
         title = what + quantity(plant, name)
         alt = f"{title} from t = 0 to {t[-1]:g}: {ends}."
-
-        def draw(axis: Axes, series: Any = series, goal: Any = goal, span: Any = span) -> None:
-            for predictor, values in series.items():
-                axis.plot(t, values, **line_of(predictor).line)
-            axis.plot(t, goal, **GOAL)
-            axis.set(xlabel=timed(plant, "t"), xlim=(t[0], t[-1]), ylim=span)
-
-        panels.append(Panel(title, alt, draw))
+        lines = [(GOAL, t, goal), *((line_of(predictor), t, values) for predictor, values in series.items())]
+        panels.append(Panel(title, alt, curves(lines, **over_t, ylim=span)))
     exact = loops[NUMERICAL].X
     apart = {predictor: np.linalg.norm(loop.X - exact, axis=1) for predictor, loop in loops.items()}
     apart = {predictor: each for predictor, each in apart.items() if np.any((each > 0) & np.isfinite(each))}
@@ -45,15 +48,20 @@ def figure1(evaluation: EvaluationData) -> Figure:
         title = with_unit("difference from the numerical loop", common_unit(plant, plant.states))
         largest = "; ".join(f"{predictor.label} {short(np.max(each))}" for predictor, each in apart.items())
         alt = f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
-        panels.append(Panel(title, alt, _curves(t, apart, timed(plant, "t"))))
+        panels.append(Panel(title, alt, _over_time(plant, t, apart)))
     near = ", ".join(f"{predictor.label} {short(np.max(apart[predictor]))}" for predictor in kept if predictor in apart)
-    config = evaluation.config
+    config, bounds, limits = evaluation.config, evaluation.config.input_bounds, ""
+    if bounds is not None:
+        ranges = zip(plant.inputs, bounds, strict=True)
+        limits = "".join(f", {symbol(plant, name)} in [{low:g}, {high:g}]" for name, (low, high) in ranges)
+    elif evaluation.bounded and plant.input_bounds is None:  # the pipeline draws a bounded loop too
+        limits = ", U without bounds"
     D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
     delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
     caption = (
         f"One closed loop{f' [{plant.figure}]' if plant.figure else ''} "
         f"from X(0) = ({', '.join(f'{value:g}' for value in config.X0)}) with {delay}, run with each "
-        f"predictor{_limits(evaluation)}. Grey and dotted: {'rest' if plant.rests else 'the reference'}, and "
+        f"predictor{limits.replace('inf', '∞')}. Grey and dotted: {'rest' if plant.rests else 'the reference'}, and "
         f"{'the delay there' if plant.declares_delay else 'the true delay'}. "
         "A loop that does not converge may leave the picture."
     )
@@ -69,17 +77,6 @@ def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
         return None
     figure = figure1(replace(evaluation, config=table, loops=evaluation.bounded))
     return replace(figure, name="figure1_bounded", title="The closed loop, U within bounds")
-
-
-def _limits(evaluation: EvaluationData) -> str:
-    """The bounds of U, where a pipeline gives some; that there are none, where it draws a bounded loop too."""
-    plant, bounds = evaluation.plant, evaluation.config.input_bounds
-    if bounds is None:
-        return ", U without bounds" if evaluation.bounded and plant.input_bounds is None else ""
-    ranges = zip(plant.inputs, bounds, strict=True)
-    return "".join(
-        f", {symbol(plant, name)} in [{low:g}, {high:g}]".replace("inf", "∞") for name, (low, high) in ranges
-    )
 
 
 def _converging(evaluation: EvaluationData) -> list[PredictorId]:
@@ -109,29 +106,22 @@ def _goals(evaluation: EvaluationData, t: np.ndarray) -> dict[str, np.ndarray]:
 
 def _around(series: list[np.ndarray], others: list[np.ndarray]) -> tuple[float, float]:
     """The range of all series, and of those others that leave it by less than its height; with room on both sides."""
-    low, high = _ends(np.concatenate(series)) or (0.0, 1.0)
-    near = [ends for ends in map(_ends, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
+
+    def span(values: np.ndarray) -> tuple[float, float] | None:
+        finite = values[np.isfinite(values)]
+        return (float(finite.min()), float(finite.max())) if len(finite) else None
+
+    low, high = span(np.concatenate(series)) or (0.0, 1.0)
+    near = [ends for ends in map(span, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
     low, high = min([low, *(a for a, _ in near)]), max([high, *(b for _, b in near)])
     room = 0.15 * (high - low) or 1.0
     return low - room, high + room
 
 
-def _ends(values: np.ndarray) -> tuple[float, float] | None:
-    """The least and the largest of the finite values; None where there is none."""
-    finite = values[np.isfinite(values)]
-    return (float(finite.min()), float(finite.max())) if len(finite) else None
-
-
-def _curves(t: np.ndarray, curves: Mapping[PredictorId, np.ndarray], time: str) -> Callable[[Axes], None]:
-    """Draws positive curves over time, on a logarithmic side."""
-
-    def draw(axis: Axes) -> None:
-        for predictor, values in curves.items():
-            axis.plot(t, positive(values), **line_of(predictor).line)
-        axis.set(xlabel=time, xlim=(t[0], t[-1]))
-        log(axis, "y")
-
-    return draw
+def _over_time(plant: Plant, t: np.ndarray, values: dict[PredictorId, np.ndarray]) -> Callable[[Axes], None]:
+    """Draws positive values over time, on a logarithmic side."""
+    lines = [(line_of(predictor), t, each) for predictor, each in values.items()]
+    return curves(lines, timed(plant, "t"), "y", xlim=(t[0], t[-1]))
 
 
 def ends(evaluation: EvaluationData) -> list[Panel]:
@@ -141,7 +131,7 @@ def ends(evaluation: EvaluationData) -> list[Panel]:
     last = "; ".join(f"{predictor.label} {values[-1]:.1e}" for predictor, values in distance.items())
     title = with_unit("distance |X − X*|", common_unit(plant, plant.states))
     alt = f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}."
-    panels = [Panel(title, alt, _curves(t, distance, timed(plant, "t")))]
+    panels = [Panel(title, alt, _over_time(plant, t, distance))]
     proven = {predictor: loop for predictor, loop in evaluation.loops.items() if np.isfinite(loop.N).any()}
     if proven:
         law = conditions.adaptation(config, plant)
@@ -149,7 +139,7 @@ def ends(evaluation: EvaluationData) -> list[Panel]:
         W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
         falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())
         alt = f"D log N + (b / γ) (D − D̂)², with b = {config.b:g}, γ = {gamma:g}: {falls}."
-        panels.append(Panel("W(t) of the proof", alt, _curves(t, W, timed(plant, "t"))))
+        panels.append(Panel("W(t) of the proof", alt, _over_time(plant, t, W)))
     return panels
 
 
@@ -176,3 +166,119 @@ def coverage(evaluation: EvaluationData) -> Figure:
     shown = next(iter(evaluation.coverage.values())).loops
     entries = [LegendEntry("data", LineStyle("fill", (), 5)), *legend([*shown])]
     return Figure("coverage", "Coverage of the data", caption, panels, entries)
+
+
+def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Figure | None:
+    """A panel each for the worst radius, the settling time and |D_hat - D|; None where there are no scenarios."""
+    if not conditions:
+        return None
+    radius = with_unit("worst radius", common_unit(plant, plant.states))
+    panels = [
+        _scenario_panel(radius, conditions, lambda does: does.radius.worst, True),
+        _scenario_panel(timed(plant, "settles after"), conditions, lambda does: does.settle_time, False),
+    ]
+    if not plant.declares_delay:
+        panels.append(_scenario_panel(timed(plant, "|D̂ − D| at the end"), conditions, lambda does: does.D_error, True))
+    predictors = list(conditions[0].models)
+    lost = ", ".join(f"{each.label} {sum(one.models[each].lost for one in conditions)}" for each in predictors)
+    caption = (
+        f"The cases again under {len(conditions)} other conditions, each predictor from the same states with the same "
+        "noise. An arrow points to what is still smaller; what is infinite, of a loop that diverges or does not "
+        f"settle, has no mark. Lost loops: {lost}."
+    )
+    entries = [LegendEntry(each.label, LineStyle(line_of(each).role, MARK, marker="o")) for each in predictors]
+    return Figure("scenarios", "Other conditions", caption, panels, entries)
+
+
+def _scenario_panel(
+    title: str, conditions: Sequence[Conditions], value: Callable[[Behaviour], float | None], logarithmic: bool
+) -> Panel:
+    """A mark per predictor on the line of each scenario, the first scenario on top; an arrow where it lies far left."""
+    names, predictors = [one.name for one in conditions], list(conditions[0].models)
+    numbers = {each: [value(one.models[each]) for one in conditions] for each in predictors}
+    values = {each: np.array([np.nan if v is None else v for v in row], dtype=float) for each, row in numbers.items()}
+
+    def draw(axis: Axes) -> None:
+        offsets = np.linspace(-SPREAD / 2, SPREAD / 2, len(values)) if len(values) > 1 else [0.0]
+        finite = {predictor: np.where(np.isfinite(row), row, np.nan) for predictor, row in values.items()}
+        low = REACH * np.nanmax([0.0, *np.concatenate(list(finite.values()))]) if logarithmic else 0.0
+        for offset, (predictor, row) in zip(offsets, finite.items(), strict=True):
+            places, colour = np.arange(len(names)) + offset, line_of(predictor).colour
+            drawn = (row >= low) & ((row > 0) | (not logarithmic))
+            axis.plot(np.where(drawn, row, np.nan), places, "o", color=colour)
+            axis.plot(np.where(row < low, low, np.nan), places, "<", color=colour)
+        axis.set(yticks=range(len(names)), yticklabels=list(names), ylim=(len(names) - 0.5, -0.5))
+        if low > 0:
+            log(axis, "x")
+            # beside the names there is little room
+            axis.xaxis.get_major_locator().set_params(numticks=4)  # type: ignore[call-arg]
+        else:
+            axis.set_xlim(left=0, right=axis.get_xlim()[1] * 1.03)  # no mark is cut at the edge
+
+    rows = [
+        f"{name}: {', '.join(f'{predictor.label} {short(row[k])}' for predictor, row in values.items())}"
+        for k, name in enumerate(names)
+    ]
+    return Panel(title, f"{'; '.join(rows)}.", draw)
+
+
+def delays(evaluation: EvaluationData) -> Figure | None:
+    """One panel per predictor; None where the pipeline asks for no map."""
+    maps = {each: row.map for each, row in evaluation.models.items() if row.map and each.epoch is None}
+    if not maps:
+        return None
+    exact = np.array(maps[NUMERICAL].converged)
+    panels = []
+    for predictor, cells in maps.items():
+        converged = np.array(cells.converged)
+        missed = exact & ~converged
+
+        def draw(axis: Axes, predictor: PredictorId = predictor, cells: DelayMap = cells) -> None:
+            x, y = np.meshgrid(cells.D_hat0, cells.D)
+            converged, colour = np.array(cells.converged), line_of(predictor).colour
+            missed = exact & ~converged
+            size = min(90.0, 2600 / max(converged.shape) ** 1.6)
+            ring = {"facecolors": "none", "edgecolors": ROLES["frozen"][0], "linewidths": 1.4}
+            axis.scatter(x[converged], y[converged], size, colour, marker="s", linewidths=0)
+            axis.scatter(x[~converged], y[~converged], size / 2, ROLES["muted"][0], marker="x", linewidths=1.0)
+            axis.scatter(x[missed], y[missed], 2.2 * size, marker="o", **ring)
+            axis.set(xlabel=timed(evaluation.plant, "D̂(0)"), ylabel=timed(evaluation.plant, "D"))
+            axis.margins(0.08)
+            axis.grid(False)
+
+        total = converged.size if predictor == NUMERICAL else exact.sum()
+        beside = "" if predictor == NUMERICAL else f"; {missed.sum()} lost that the numerical predictor keeps"
+        alt = f"{predictor.label} converges in {converged.sum()} of {converged.size} cells of D by D̂(0){beside}."
+        panels.append(Panel(f"{predictor.label}: {(converged & exact).sum()} of {total}", alt, draw))
+    caption = (
+        "Loops from the same state, for each true delay D and first estimate D̂(0). Square: the loop converges; cross: "
+        "it does not; ringed: only the numerical predictor's does. A network's count is of those cells in which the "
+        "numerical predictor's loop converges."
+    )
+    entries = [
+        LegendEntry("converges", LineStyle("ink", MARK, marker="s")),
+        LegendEntry("lost", LineStyle("muted", MARK, marker="x")),
+    ]
+    return Figure("delays", "Delays and first estimates", caption, panels, entries)
+
+
+def margin(plant: Plant, name: str, D: float) -> Figure:
+    """The real part of the rightmost root over D_hat - D, the margin shaded; raises as npred.delay_margin does."""
+    low, high = delay_margin(plant, D)
+    loop = MismatchedLoop(plant, D)
+    errors = np.linspace(max(BEYOND * low, -D), BEYOND * (high if np.isfinite(high) else FAR * D), POINTS)
+    rates = np.array([loop.rightmost(max(D + error, 0.0)) for error in errors])
+
+    def draw(axis: Axes) -> None:
+        axis.axvspan(low, min(high, errors[-1]), color=ROLES["fill"][0], linewidth=0)
+        axis.axhline(0.0, color=ROLES["muted"][0], linewidth=0.8)
+        axis.plot(errors, rates, color=ROLES["blue"][0], linewidth=1.4)
+        axis.set(xlabel=timed(plant, "D̂ − D"), xlim=(errors[0], errors[-1]))
+
+    first, last = (plant.time_text(end, ".4g") if np.isfinite(end) else "any longer one" for end in (low, high))
+    caption = (
+        f"Small states of the loop of {plant.name}, D = {plant.time_text(D)}, with a constant D̂ decay where the "
+        f"rightmost root is left of 0: for D̂ − D from {first} to {last}, shaded."
+    )
+    title = with_unit("rightmost root, real part", f"1/{plant.time_unit}")
+    return Figure(name, "The delay margin", caption, [Panel(title, caption, draw)])

@@ -82,13 +82,9 @@ def markup(text: str) -> str:
 
 def mathematics(text: str) -> str:
     """For matplotlib's mathematics: hats, subscripts and raised digits, for fonts that lack the letters."""
-    text = SUBSCRIPT.sub(_upright, text)
+    text = SUBSCRIPT.sub(lambda part: r"$_{\mathrm{" + part[1].replace(" ", r"\ ") + "}}$", text)
     text = RAISED.sub(lambda part: f"$^{{{part[0].translate(PLAIN)}}}$", text)
     return text.replace("D̂", r"$\hat{D}$").replace("P̂", r"$\hat{P}$")
-
-
-def _upright(part: re.Match[str]) -> str:
-    return r"$_{\mathrm{" + part[1].replace(" ", r"\ ") + "}}$"
 
 
 def raised(text: str) -> str:

@@ -41,10 +41,10 @@ ROLES = {
 }
 # A network's colours, trained and stopped early: in the registry's order, then of networks that are not built in, by
 # rank. Green and ink are the numerical methods'.
-BUILTIN = (("blue", "sky"), ("orange", "amber"), ("violet", "lilac"), ("brown", "sand"))
-OTHERS = (("crimson", "rose"), ("olive", "lime"))
+BUILTIN = (("blue", "sky"), ("orange", "amber"))
+OTHERS = (("crimson", "rose"), ("olive", "lime"), ("violet", "lilac"), ("brown", "sand"))
 # Dashes: of networks in turn, for one is drawn over another and over a solid line, each seen in the gaps of the next;
-# of those for whom no colour is left; of what stopped early.
+# those for whom no colour is left; networks that stopped early.
 TRAINED, MORE, EARLY = ((6, 2.2), (3.2, 5)), (6, 1.6, 1, 1.6), (4, 1.6)
 
 
@@ -69,7 +69,7 @@ class LineStyle:
         return {"color": self.colour, "linestyle": style, "linewidth": self.width, "marker": self.marker or None}
 
 
-DOTTED: dict[str, Any] = {"color": ROLES["muted"][0], "linewidth": 1.2, "linestyle": (0, (1, 2))}  # theory, tolerances
+DOTTED = LineStyle("muted", (1, 2), 1.2)  # theory, tolerances, where a loop is to go
 
 
 def line_of(predictor: PredictorId) -> LineStyle:
@@ -109,8 +109,8 @@ class Style:
 
 
 HANDLE = 2.4  # widths of an M: the line of a legend's entry
-SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # of one panel on a page
-MEDIA = {  # of all panels in a file
+SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # one panel on a page
+MEDIA = {  # all panels in a file
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),
     "ieee2": Style(7.16, 3, 8, "STIXGeneral", 1.75),
     "page": Style(5.4, 2, 9, "DejaVu Sans", 1.9),  # legible on a telephone
@@ -165,6 +165,9 @@ def log(axis: Axes, *sides: str) -> None:
     """Logarithmic sides with few ticks, as 10⁻³; for call after everything is drawn."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+    def tick(value: float, digits: int) -> str:  # over less than a decade it may need more than one digit: 2.5
+        return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value, digits)
+
     axis.set(**{f"{side}scale": "log" for side in sides})
     for side in sides:
         low, high = getattr(axis, f"get_{side}lim")()
@@ -180,21 +183,11 @@ def log(axis: Axes, *sides: str) -> None:
             chosen.set_minor_locator(NullLocator())
 
 
-def positive(values: np.ndarray) -> np.ndarray:
-    """The values for a logarithmic side: NaN, which is not drawn, for all that are not positive and finite."""
-    return np.where(np.isfinite(values) & (values > 0), values, np.nan)
-
-
 def lettered(text: str) -> str:
     """The text as the medium at hand can set it: as mathematics, but on a page."""
     import matplotlib
 
     return mathematics(text) if matplotlib.rcParams["axes.formatter.use_mathtext"] else text
-
-
-def tick(value: float, digits: int = 2) -> str:
-    """A tick of a logarithmic side: over less than a decade it may need more than one digit, 2.5."""
-    return power(value) if np.isclose(value, float(f"{value:.0e}"), rtol=1e-6) else short(value, digits)
 
 
 def power(value: float) -> str:

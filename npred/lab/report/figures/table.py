@@ -113,17 +113,16 @@ def _latex_cell(text: str) -> str:
 
 def _latex(text: str) -> str:
     """The text for LaTeX; what `_{…}` lowers is set upright."""
+
+    def greek(letter: re.Match[str]) -> str:
+        name = unicodedata.name(letter[0]).split()[-1].lower()  # Unicode's name of a letter ends in its command
+        return rf"$\{name if letter[0].islower() else name.capitalize()}$"
+
     parts = SUBSCRIPT.split(text)  # text, subscript, text, …
     for place, part in enumerate(parts):
         for symbol, command in SYMBOLS.items():
             part = part.replace(symbol, command)
         part = RAISED.sub(lambda raised: f"$^{{{raised[0].translate(PLAIN)}}}$", part)
-        part = re.sub("[Α-Ωα-ω]", _greek, part)
+        part = re.sub("[Α-Ωα-ω]", greek, part)
         parts[place] = rf"$_{{\textrm{{{part}}}}}$" if place % 2 else part
     return "".join(parts)
-
-
-def _greek(letter: re.Match[str]) -> str:
-    """The command of a letter, which Unicode's name of it ends in."""
-    name = unicodedata.name(letter[0]).split()[-1].lower()
-    return rf"$\{name if letter[0].islower() else name.capitalize()}$"

@@ -99,7 +99,7 @@ def _note(number: int, frame: FrameType | None) -> None:
 def _watch() -> None:
     """A thread, for the main one may be in compiled code for long, where Python calls no handler."""
     while (number := _wakeup[0].recv(1)[0]) not in SIGNALS:
-        pass  # of others' handlers
+        pass  # signals with others' handlers
     _received.append(number)
     if _graceful:
         select.select(_wakeup[:1], [], [], GRACE)  # or until a second one comes

@@ -64,7 +64,7 @@ def answer(text: str) -> None:
     except OSError as error:
         silence(sys.stdout)
         raise unwritable(error.strerror) from None
-    except ValueError:  # of a closed file
+    except ValueError:  # the file is closed
         raise unwritable("a closed one") from None
 
 
