@@ -13,9 +13,8 @@ import numpy as np
 from npred.kernels import compiler
 
 FOLDER = Path(__file__).parent / "c"
-NUMBERS = dict.fromkeys(("t", "dt", "b", "gate"), "double") | dict.fromkeys(
-    ("k", "origin"), "INDEX"
-)  # others are arrays
+# Arguments that are numbers; others are arrays
+NUMBERS = {"t": "double", "dt": "double", "b": "double", "gate": "double", "k": "INDEX", "origin": "INDEX"}
 PREPARED = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
 AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts

@@ -13,9 +13,10 @@ from npred.base.errors import ConfigError
 from npred.base.registry import NETWORKS
 from npred.lab.config import FNO, DeepONet
 from npred.lab.training import operators
-from npred.lab.training.operators import Scaling, Weights, build
+from npred.lab.training.operators import Scaling, build
 from npred.networks import layouts
 from npred.networks.fused import lowering
+from npred.networks.weights import Weights, read
 
 LAID_OUT = [name for name, entry in NETWORKS.builtin.items() if entry.layout]
 
@@ -47,10 +48,10 @@ def test_what_is_lowered_has_a_layout():
 @pytest.mark.parametrize("precision", [np.float32, np.float64])
 def test_weights_are_those_of_the_operator_and_make_it_again(tmp_path: Path, config, precision):
     operators.save(tmp_path, operator(config, seed=3), config)
-    weights = operators.read(tmp_path, PLANT, precision=precision)
+    weights = read(tmp_path, PLANT, precision=precision)
     assert isinstance(weights, Weights) and weights.weights() is weights
     dtype = torch.from_numpy(np.empty(0, dtype=precision)).dtype
-    loaded = operators.load(tmp_path, PLANT, dtype=dtype)
+    loaded = weights.module(PLANT)
     arrays = loaded.weights().arrays
     assert arrays.keys() == weights.arrays.keys() and loaded.weights().architecture == weights.architecture
     for name, array in weights.arrays.items():
@@ -64,7 +65,7 @@ def test_weights_are_those_of_the_operator_and_make_it_again(tmp_path: Path, con
 @pytest.mark.parametrize("config", EVERY[2:], ids=lambda config: registry.short_name(config.architecture))
 def test_a_network_without_a_fused_form_is_read_as_a_torch_module(tmp_path: Path, config):
     operators.save(tmp_path, operator(config), config)
-    assert isinstance(operators.read(tmp_path, PLANT, precision=np.float64, table=config), operators.Operator)
+    assert isinstance(read(tmp_path, PLANT, precision=np.float64, table=config).module(PLANT), operators.Operator)
 
 
 def test_an_anchor_at_rest_needs_a_plant_with_one(tmp_path: Path):
@@ -73,7 +74,7 @@ def test_an_anchor_at_rest_needs_a_plant_with_one(tmp_path: Path):
 
     operators.save(tmp_path, operator(SMALL[0]), SMALL[0])
     with pytest.raises(ConfigError, match="anchor: expected a plant with an equilibrium, tracking has none"):
-        operators.read(tmp_path, Tracking())  # type: ignore[arg-type]
+        read(tmp_path, Tracking())  # type: ignore[arg-type]
 
 
 def test_a_class_of_another_module_is_no_built_in_network():

@@ -15,9 +15,10 @@ from npred.base.errors import DivergedError, first_line
 from npred.lab.config import Training
 from npred.lab.training import captured, checkpoint
 from npred.lab.training.checkpoint import Metrics
-from npred.lab.training.operators import Operator, io
+from npred.lab.training.operators import Operator
 from npred.lab.training.rows import REST_NODES, Fit, Rows
 from npred.lab.training.soap import SOAP, GraphSOAP
+from npred.networks.weights import file_of
 
 CHUNK = 1024  # rows of a call without gradients
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
@@ -55,7 +56,7 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
                 raise DivergedError(f"{expected}; lower lr={config.lr:g}")
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(task.operator, task.test)})
             if epoch in config.snapshots:
-                io.save_weights(scratch / io.weights(epoch), task.operator)
+                task.operator.weights().save(scratch / file_of(epoch))
             if epoch % config.checkpoint_every == 0:
                 checkpoint.save(scratch, task.operator, optimiser, metrics)
             progress.measured(title, metrics[-1])
