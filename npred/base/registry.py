@@ -188,7 +188,7 @@ NETWORKS = Registry(
 )
 METHODS = Registry(
     "predictor",
-    "npred.prediction.methods",
+    "npred.predictors",
     {
         "euler": Entry("npred.prediction.methods.runge_kutta:Euler", "Euler", ("green", (), "^")),
         "heun": Entry("npred.prediction.methods.runge_kutta:Heun", "Heun", ("green", (4, 1.6), "v")),
@@ -230,7 +230,7 @@ OBSERVERS = Registry(
 )
 RUNTIMES = Registry(
     "runtime",
-    "npred.networks",
+    "npred.runtimes",
     {
         "torch": Entry("npred.lab.training.neural:Neural", "torch", ("", (1, 1.5), "*")),
         "fused": Entry("npred.networks.fused:Fused", "fused", ("", (), "s")),
@@ -239,7 +239,7 @@ RUNTIMES = Registry(
 )
 RECORDINGS = Registry(  # by the suffix of a file
     "recording",
-    "npred.identification.recordings",
+    "npred.recordings",
     {
         "csv": Entry("npred.identification.recordings.csv:Csv", "CSV"),
         "txt": Entry("npred.identification.recordings.csv:Csv", "CSV"),
