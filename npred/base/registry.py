@@ -25,15 +25,14 @@ class Entry(NamedTuple):
     """A built-in part: its module:Class, its label for people, and its line in figures.
 
     `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
-    `lowering` is the module that makes a program of a network, where there is one, and `layout` the function that says
-    what its file of weights holds. `extra` is that of npred with all that the part needs, where it is not torch's.
+    `fused` is the module of a network's fused form, where there is one: it says what its file of weights holds, and
+    makes a program of it. `extra` is that of npred with all that the part needs, where it is not torch's.
     """
 
     target: str
     label: str
     look: tuple[str, tuple[float, ...], str] = ("green", (1, 1), "D")
-    lowering: str = ""
-    layout: str = ""
+    fused: str = ""
     extra: str = ""
 
 
@@ -173,17 +172,9 @@ NETWORKS = Registry(
     "npred.networks",
     {
         "deeponet": Entry(
-            "npred.lab.training.operators.deeponet:DeepONetwork",
-            "DeepONet",
-            lowering="npred.networks.deeponet",
-            layout="npred.networks.layouts:deeponet",
+            "npred.lab.training.operators.deeponet:DeepONetwork", "DeepONet", fused="npred.networks.deeponet"
         ),
-        "fno": Entry(
-            "npred.lab.training.operators.fno:FNOnetwork",
-            "FNO",
-            lowering="npred.networks.fno",
-            layout="npred.networks.layouts:fno",
-        ),
+        "fno": Entry("npred.lab.training.operators.fno:FNOnetwork", "FNO", fused="npred.networks.fno"),
     },
 )
 METHODS = Registry(
@@ -262,15 +253,8 @@ COMMANDS = Registry("command", "npred.commands")  # functions as those of npred.
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
-STAGES = (
-    "identify",
-    "generate",
-    "train",
-    "evaluate",
-    "certify",
-    "bench",
-    "report",
-)  # folders of npred/lab/stages, in order
+# folders of npred/lab/stages, in order
+STAGES = ("identify", "generate", "train", "evaluate", "certify", "bench", "report")
 
 
 def declared_stage(name: str) -> Any:

@@ -9,17 +9,19 @@ from npred.networks import matrices
 from npred.networks.program import (
     Dots,
     Matrix,
-    Operation,
     Product,
     Program,
     Recombine,
     Repeat,
     Series,
+    Shapes,
     Silu,
+    linear_shapes,
     mlp,
+    mlp_shapes,
     product,
     silu,
-)
+)  # fmt: skip
 from npred.networks.weights import Weights
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -28,73 +30,69 @@ TERMS = 64
 SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left out
 
 
+def shapes(n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, layers: int = 4) -> Shapes:
+    """The arrays of npred.lab.training.operators.fno.FNOnetwork, with its arguments."""
+    arrays = linear_shapes("lift", n + clock + 1 + m + 1, width)
+    for k in range(layers):
+        arrays |= {f"spectral.{k}.{part}": (modes, width, width) for part in ("real", "imag")}
+        arrays |= linear_shapes(f"local.{k}", width, width)
+    return arrays | mlp_shapes("project", [width, 2 * width, n], bias=False)
+
+
 def append(p: Program, weights: Weights) -> None:
     """Append the network's operations, nodes by channels."""
-    v = _lift(p, weights)
-    p.operations.append(Repeat(len(weights.layers("network.local")), _layer(p, weights, v)))
-    p.operations += _project(p, weights, v)
-    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
-        p.twice = True
-        p.buffer("N_rest", 1, p.n * p.nodes)
-    elif weights.anchor == "equilibrium":
-        p.series = _at_rest(p, weights)
-
-
-def _lift(p: Program, weights: Weights) -> Matrix:
-    """v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u."""
-    n, m, nx, weight = p.n, p.m, p.nodes, weights["network.lift.weight"].T
-    width = weight.shape[1]
-    shift, waves = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
-    zero = weights["network.lift.bias"] + p.z_zero @ weight[:n] + p.v_zero @ weight[p.columns : -1]
-    bias, by_z = p.constant("lift", zero), p.weights("by_z", weight[: p.columns], 1)
-    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.weights("by_x", weight[-1:], nx)
-    by_mean = p.weights("by_mean", weight[p.columns : -1], nx)
+    n, m, nx, lift = p.n, p.m, p.nodes, weights["network.lift.weight"].T
+    width, linear, spectral = lift.shape[1], weights.layers("network.local"), _spectral(weights)
+    # v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u
+    shift, v = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
+    zero = weights["network.lift.bias"] + p.z_zero @ lift[:n] + p.v_zero @ lift[p.columns : -1]
+    bias, by_z = p.constant("lift", zero), p.weights("by_z", lift[: p.columns], 1)
+    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.weights("by_x", lift[-1:], nx)
+    by_mean = p.weights("by_mean", lift[p.columns : -1], nx)
     p.operations += [
         Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
-        Product(waves, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
-        Product(waves, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
+        Product(v, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
+        Product(v, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
     ]
-    return waves
-
-
-def _layer(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
-    """v = silu(W v + b + F^-1 (R_k F v))."""
-    width, nx, linear, spectral = v.row, p.nodes, weights.layers("network.local"), _spectral(weights)
-    modes = len(spectral[0])
+    # v = silu(W v + b + F^-1 (R_k F v)), layer after layer
+    modes, pair = len(spectral[0]), 2 * width  # the real and the imaginary part of R, side by side
     forward, inverse = matrices.fourier(nx, modes)
     local = p.stack("local", [layer["weight"].T for layer in linear], nx)
-    bias = p.stack("bias", [layer["bias"] for layer in linear])
-    pair = 2 * width  # the real and the imaginary part of R, side by side
+    biases = p.stack("bias", [layer["bias"] for layer in linear])
     by_mode = p.stack("matrix", [mode for R in spectral for mode in R], 2)
     matrix = replace(by_mode, turn=width * pair, layer=modes * width * pair)
     v_hat, y_hat = p.buffer("v_hat", 2 * modes, width), p.buffer("y_hat", 2 * modes, width)
     pairs, out = p.buffer("pairs", 2 * modes, pair), p.buffer("sums", nx, width)
     modal = replace(pairs, turn=2 * pair), replace(v_hat, turn=pair), matrix
-    return (
-        Product(out, v, local, (nx, width, width), bias),
+    layer = (
+        Product(out, v, local, (nx, width, width), biases),
         Product(v_hat, p.constant("forward", forward), v, (2 * modes, nx, width)),
         Product(*modal, (2, width, pair), repeats=modes),
         Recombine("y_hat", "pairs", modes, width),
         Product(out, p.constant("inverse", inverse), y_hat, (nx, 2 * modes, width), adds=True),
-        Silu(v.name, out.name, nx * width),
+        Silu("waves", "sums", nx * width),
     )
+    # N (n, nx) = last(silu(first(v)))
+    first, last = weights.layers("network.project")
+    size = len(first["weight"])
+    hidden, hidden_bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
+    project = p.weights("project", first["weight"].T, nx)
+    p.operations += [
+        Repeat(len(linear), layer),
+        Product(hidden, v, project, (nx, width, size), hidden_bias),
+        Silu("hidden", "hidden", size * nx),
+        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, n)),
+    ]
+    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
+        p.twice = True
+        p.buffer("N_rest", 1, n * nx)
+    elif weights.anchor == "equilibrium":
+        p.series = _at_rest(p, weights)
 
 
 def _spectral(weights: Weights) -> list[np.ndarray]:
     """R_k of each layer, (modes, width, 2 width): its real and its imaginary part, side by side."""
     return [np.concatenate([R["real"], R["imag"]], axis=-1) for R in weights.layers("network.spectral")]
-
-
-def _project(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
-    """N (n, nx) = last(silu(first(v)))."""
-    first, last = weights.layers("network.project")
-    (size, width), nx = first["weight"].shape, p.nodes
-    hidden, bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
-    return (
-        Product(hidden, v, p.weights("project", first["weight"].T, nx), (nx, width, size), bias),
-        Silu("hidden", "hidden", size * nx),
-        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, p.n)),
-    )
 
 
 def _at_rest(p: Program, weights: Weights) -> Series:

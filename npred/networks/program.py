@@ -5,11 +5,28 @@ All that does not depend on the sample is folded into constants here: the grid's
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
 Layers = Sequence[Mapping[str, np.ndarray]]  # of a network: the weight (out, in) and the bias (out,) of each
+
+
+Shapes = dict[str, tuple[int, ...]]  # of the arrays in a file of weights, by name
+
+
+def linear_shapes(name: str, fan_in: int, fan_out: int, bias: bool = True) -> Shapes:
+    """A linear layer."""
+    return {f"{name}.weight": (fan_out, fan_in)} | ({f"{name}.bias": (fan_out,)} if bias else {})
+
+
+def mlp_shapes(name: str, sizes: list[int], bias: bool = True) -> Shapes:
+    """Linear layers of these sizes, an activation between them; `bias` is that of the last."""
+    shapes, last = {}, len(sizes) - 2
+    for k, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+        shapes |= linear_shapes(f"{name}.{2 * k}", fan_in, fan_out, bias or k < last)
+    return shapes
 
 
 def silu(a: np.ndarray) -> np.ndarray:

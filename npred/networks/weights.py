@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
@@ -10,10 +11,9 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from npred.base import json_files, registry
+from npred.base import json_files
 from npred.base.errors import ConfigError, StoreError, first_line, imported
 from npred.base.registry import NETWORKS, in_file
-from npred.networks import layouts
 from npred.networks.domain import Domain
 from npred.plants.base import Plant
 
@@ -128,16 +128,19 @@ def read(
     """
     table, path = table or _table(folder), folder / file_of(snapshot)
     check_anchor(table.anchor, plant)
-    fused = table.architecture in NETWORKS.builtin
-    torch = None if fused else imported(f"network {table.architecture}", "npred.lab.training.operators.base")
+    torch = None
+    if table.architecture not in NETWORKS.builtin:
+        torch = imported(f"network {table.architecture}", "npred.lab.training.operators.base")
     try:
         arrays = load_file(path)
-        layers = max((table.arguments.get(key, 0) for key in ("layers", "depth")), default=0) if fused else 0
-        if layers > len(arrays):  # else a file of a few bytes could ask for any number of them
-            raise ValueError(f"{len(arrays)} tensors for {layers} layers")
         got = {name: (array.shape, array.dtype.name) for name, array in arrays.items()}
-        shapes = {} if torch else _shapes(table, plant)
-        expected = torch.kinds(table, plant) if torch else {name: (s, "float32") for name, s in shapes.items()}
+        if torch:
+            expected = torch.kinds(table, plant)
+        else:
+            layers = max(table.arguments.get(key, 0) for key in ("layers", "depth"))
+            if layers > len(arrays):  # else a file of a few bytes could ask for any number of them
+                raise ValueError(f"{len(arrays)} tensors for {layers} layers")
+            expected = {name: (shape, "float32") for name, shape in shapes(table, plant).items()}
         for name in sorted(expected.keys() | got.keys()):
             if expected.get(name) != got.get(name):
                 raise ValueError(f"{name}: expected {expected.get(name)}, got {got.get(name)}")
@@ -154,19 +157,22 @@ def untrained(table: NetworkTable, plant: Plant, rng: np.random.Generator) -> We
     anchor = table.anchor if plant.rest else "initial"
     arrays = {
         name: rng.standard_normal(shape, dtype=np.float32) / np.float32(max(shape[-1:], default=1)) ** 0.5
-        for name, shape in _shapes(table, plant).items()
+        for name, shape in shapes(table, plant).items()
     }
     ones = {name: np.ones_like(array) for name, array in arrays.items() if name.startswith("scaling.")}
     return Weights(table.architecture, anchor, arrays | ones, None, table)
 
 
-def _shapes(table: NetworkTable, plant: Plant) -> layouts.Shapes:
+def shapes(table: NetworkTable, plant: Plant) -> dict[str, tuple[int, ...]]:
     """The shape of each array of a network with a fused form."""
-    layout = registry.attribute(NETWORKS.builtin[table.architecture].layout)
-    network = layout(plant.n, plant.m, 2 if plant.phased else 0, **table.arguments)
-    shapes = {f"network.{name}": shape for name, shape in network.items()}
-    shapes |= {f"scaling.{name}": shape for name, shape in layouts.scaling(plant.n, plant.m).items()}
-    return shapes | {"X_rest": (plant.n,), "u_rest": (plant.m,)}
+    n, m = plant.n, plant.m
+    network = import_module(NETWORKS.builtin[table.architecture].fused)
+    arrays = network.shapes(n, m, 2 if plant.phased else 0, **table.arguments)
+    named = {f"network.{name}": shape for name, shape in arrays.items()}
+    for name, shape in {"X": (n,), "u": (m,), "D_hat": (), "P": (n,)}.items():
+        named |= {f"scaling.{name}_mean": shape, f"scaling.{name}_std": shape}
+    named |= {"scaling.X_bend": (n,), "scaling.speed": (n,)}
+    return named | {"X_rest": (n,), "u_rest": (m,)}
 
 
 def check_anchor(anchor: str, plant: Plant) -> None:

@@ -38,10 +38,21 @@ class SOAP(torch.optim.Optimizer):
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
         for group in self.param_groups:
             for p in group["params"]:
-                state = self.state[p] or self._start(p)
-                p.mul_(1 - group["lr"] * group["weight_decay"]).sub_(group["lr"] * _direction(p.grad, state))
-                if p.dim() > 1:
-                    _learn(p.grad, state)
+                G, state = p.grad, self.state[p] or self._start(p)
+                # not in place: a state that comes from a graph has one for all parameters
+                state["step"] = state["step"] + 1
+                state["mean"].lerp_(G, 1 - BETA)
+                state["square"].lerp_(_turn(G, state).square(), 1 - BETA)
+                unbiased = 1 - BETA ** float(state["step"])
+                step = _turn(state["mean"], state) / unbiased / ((state["square"] / unbiased).sqrt() + EPS)
+                step = state["Q_left"] @ step @ state["Q_right"].mT if p.dim() > 1 else step
+                p.mul_(1 - group["lr"] * group["weight_decay"]).sub_(group["lr"] * step)
+                if p.dim() < 2:
+                    continue
+                state["left"].lerp_(G @ G.mT, 1 - BETA)
+                state["right"].lerp_(G.mT @ G, 1 - BETA)
+                for side in ("left", "right") if int(state["step"]) % EVERY == 0 else ():
+                    state[f"Q_{side}"] = torch.linalg.qr(state[side] @ state[f"Q_{side}"])[0].contiguous()
 
     def _start(self, p: Tensor) -> State:
         state = self.state[p]
@@ -53,28 +64,9 @@ class SOAP(torch.optim.Optimizer):
         return state
 
 
-def _direction(G: Tensor, state: State) -> Tensor:
-    """Adam's step of unit rate, taken in the eigenbasis."""
-    state["step"] = state["step"] + 1  # not in place: a state that comes from a graph has one for all parameters
-    state["mean"].lerp_(G, 1 - BETA)
-    state["square"].lerp_(_turn(G, state).square(), 1 - BETA)
-    unbiased = 1 - BETA ** float(state["step"])
-    step = _turn(state["mean"], state) / unbiased / ((state["square"] / unbiased).sqrt() + EPS)
-    return state["Q_left"] @ step @ state["Q_right"].mT if "left" in state else step
-
-
 def _turn(G: Tensor, state: State) -> Tensor:
     """G in the eigenbasis; a vector as it is."""
     return state["Q_left"].mT @ G @ state["Q_right"] if "left" in state else G
-
-
-def _learn(G: Tensor, state: State) -> None:
-    """Follow the covariances, and now and then their eigenbases, by one step of the QR iteration."""
-    state["left"].lerp_(G @ G.mT, 1 - BETA)
-    state["right"].lerp_(G.mT @ G, 1 - BETA)
-    if int(state["step"]) % EVERY == 0:
-        for side in ("left", "right"):
-            state[f"Q_{side}"] = torch.linalg.qr(state[side] @ state[f"Q_{side}"])[0].contiguous()
 
 
 @dataclass(frozen=True)

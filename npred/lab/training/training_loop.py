@@ -47,7 +47,8 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
             total, lr = torch.zeros((), device=task.test.X.device), 0.0
             for number, rows in enumerate(task.train.batches(order, config.batch)):
                 lr = rate(config, epoch - 1 + number * config.batch / count)
-                _set_rate(optimiser, lr)
+                for group in optimiser.param_groups:
+                    group["lr"] = group["lr"].fill_(lr) if isinstance(group["lr"], Tensor) else lr  # a graph reads it
                 total += step(rows) * len(rows)
                 bar.advance(0)  # Ctrl-C in another thread ends this one here
             loss = float(total) / count
@@ -119,14 +120,6 @@ def rate(config: Training, epochs: float) -> float:
     if done < WARM_UP:
         return config.lr * (0.04 + 0.96 * done / WARM_UP)
     return config.lr * (1e-4 + 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP))))
-
-
-def _set_rate(optimiser: torch.optim.Optimizer, lr: float) -> None:
-    for group in optimiser.param_groups:
-        if isinstance(group["lr"], Tensor):  # a CUDA graph reads it where it is
-            group["lr"].fill_(lr)
-        else:
-            group["lr"] = lr
 
 
 def cycle_ends(config: Training) -> list[int]:

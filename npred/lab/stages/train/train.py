@@ -59,7 +59,7 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     operator = _untrained(job.plant, config, scaling, seed)
     parts = stream.parts if streamed else lambda: [fitted]
     operator.domain = Domain.of_parts(parts, scaling.X_bend.double().cpu().numpy(), job.plant.phase)
-    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
+    criterion = loss.Criterion(config.rows, loss.weights(config, job.plant, rows.P))
     operator = operator.to(job.device)  # and the scaling with it, which the domain was made of
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 

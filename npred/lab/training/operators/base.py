@@ -73,8 +73,11 @@ class Operator(nn.Module):
         N = self._velocity(X, u, D_hat, phase, stride)
         if self.anchor == "none":
             return self.scaling.P_mean + self.scaling.P_std * N
-        if self.anchor == "equilibrium":
-            N = N - self._at_rest(D_hat, phase, N.shape[1], rest_nodes or D_hat.shape[0])
+        if self.anchor == "equilibrium" and phase is None and rest_nodes and rest_nodes < D_hat.shape[0]:
+            points, weights = chebyshev(D_hat, rest_nodes)
+            N = N - torch.tensordot(weights, self.at_rest(points, N.shape[1]), dims=1)
+        elif self.anchor == "equilibrium":
+            N = N - self.at_rest(D_hat, N.shape[1], phase)
         x = torch.linspace(0, 1, N.shape[1], dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
         return X[:, None, :] + x * D_hat[:, None, None] * self.scaling.speed * N
 
@@ -90,12 +93,6 @@ class Operator(nn.Module):
             angle = 2 * math.pi * phase[:, None]
             X = torch.cat([X, torch.cos(angle), torch.sin(angle)], dim=1)
         return self.network(X, u, D_hat, stride)
-
-    def _at_rest(self, D_hat: Tensor, phase: Tensor | None, nx: int, count: int) -> Tensor:
-        if count >= D_hat.shape[0] or phase is not None:
-            return self.at_rest(D_hat, nx, phase)
-        points, weights = chebyshev(D_hat, count)
-        return torch.tensordot(weights, self.at_rest(points, nx), dims=1)
 
 
 def chebyshev(values: Tensor, count: int) -> tuple[Tensor, Tensor]:

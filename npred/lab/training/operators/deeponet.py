@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from npred.networks import matrices
-from npred.networks.layouts import DEGREE
+from npred.networks.deeponet import DEGREE
 
 
 class DeepONetwork(nn.Module):
