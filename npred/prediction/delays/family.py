@@ -13,7 +13,7 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.formulas import Array, Value
 from npred.kernels import kernel
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas
 from npred.plants.base import Plant
 
 Kernel = Callable[..., None]  # npred.kernels.kernel.Kernel, or for a black box the same in Python
