@@ -64,8 +64,21 @@ def library(text: str, exact: bool = False) -> ctypes.CDLL:
     flags = (*FLAGS, *EXACT) if exact else FLAGS
     name = _named(text, flags)
     with _locks[name]:
-        if name not in _loaded:
-            _loaded[name] = ctypes.CDLL(str(_kept(name, text, flags) / LIBRARY))
+        if name in _loaded:
+            return _loaded[name]
+        target = disk.root() / name
+        if not disk.sound(target):
+            aside = disk.aside()
+            try:
+                (aside / TEXT).write_text(text, encoding="utf-8")
+                with progress.announce(ALONE, _seconds([text]), ONCE):
+                    _compile(aside, flags)
+                disk.install(aside, target)
+            except OSError as error:
+                raise disk.full(error, disk.root()) or error from None
+            finally:
+                shutil.rmtree(aside, ignore_errors=True)
+        _loaded[name] = ctypes.CDLL(str(target / LIBRARY))
         return _loaded[name]
 
 
@@ -88,24 +101,6 @@ def _seconds(texts: Iterable[str]) -> float:
     """About how long texts take: the numbers of a network, which are most of its text, take none."""
     lines = [sum(map(len, re.findall(r"^.*;$", text, re.MULTILINE))) for text in texts]
     return (START * len(lines) + sum(lines) / SPEED) / min(SIDE_BY_SIDE, max(len(lines), 1))
-
-
-def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
-    """The folder of a library, sound, made if it has to be."""
-    target = disk.root() / name
-    if disk.sound(target):
-        return target
-    aside = disk.aside()
-    try:
-        (aside / TEXT).write_text(text, encoding="utf-8")
-        with progress.announce(ALONE, _seconds([text]), ONCE):
-            _compile(aside, flags)
-        disk.install(aside, target)
-    except OSError as error:
-        raise disk.full(error, disk.root()) or error from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-    return target
 
 
 def _compile(folder: Path, flags: tuple[str, ...]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from npred.base import grid
+from npred.networks import matrices
 
 FILE = "domain.safetensors"
 MOMENTS = 3  # of each input
@@ -82,7 +83,7 @@ class Domain:
 
 def legendre(nx: int) -> np.ndarray:
     """Weights (MOMENTS, nx) of the integrals of u P_k(2x - 1) over [0, 1] on nx nodes."""
-    return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
+    return matrices.legendre(nx, MOMENTS).T * grid.trapezoid(nx)
 
 
 def _features(

@@ -100,8 +100,22 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     mean, std = (float(weights[f"scaling.D_hat_{part}"]) for part in ("mean", "std"))
     low, high = max(0.0, mean - SPREAD * std), mean + SPREAD * std
     points = np.polynomial.chebyshev.chebpts1(TERMS)
-    D_hat = low + (high - low) * (points + 1) / 2
-    values = _velocity_at_rest(p, weights, (D_hat - mean) / std)  # (TERMS, nodes, n)
+    D_hat = (low + (high - low) * (points + 1) / 2 - mean) / std
+    # what the program computes, for all of them: v (TERMS, nodes, width)
+    lift, nx, linear = weights["network.lift.weight"], p.nodes, weights.layers("network.local")
+    rest = np.concatenate([p.z_zero, np.zeros(1), p.v_zero, np.zeros(1)])  # the mean of a constant u is that constant
+    constant = lift @ rest + weights["network.lift.bias"]
+    v = constant + D_hat[:, None, None] * lift[:, p.n] + (2 * grid.nodes(nx)[:, None] - 1) * lift[:, -1]
+    spectral = _spectral(weights)
+    forward, inverse = matrices.fourier(nx, len(spectral[0]))
+    for layer, R in zip(linear, spectral, strict=True):
+        v_hat = product(forward, v).reshape(TERMS, len(R), 2, -1)  # (TERMS, modes, Re and Im, width)
+        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (TERMS, modes, 2 width)
+        width = v.shape[-1]
+        y_hat = real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]
+        y_hat = np.stack(y_hat, axis=2).reshape(TERMS, 2 * len(R), width)
+        v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
+    values = mlp(weights.layers("network.project"), v)  # (TERMS, nodes, n)
     polynomials = np.polynomial.chebyshev.chebvander(points, TERMS - 1)  # orthogonal over these points
     series = product(polynomials.T, values.transpose(0, 2, 1).reshape(TERMS, -1)) * 2 / TERMS
     series[0] /= 2
@@ -110,23 +124,3 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nodes)
     operation = Product(N_rest, T, p.weights("series", series[:terms], 1), (1, terms, p.n * p.nodes))
     return Series(low, high, terms, operation)
-
-
-def _velocity_at_rest(p: Program, weights: Weights, D_hat: np.ndarray) -> np.ndarray:
-    """N(x; X*, u*, D_hat) (B, nodes, n) for scaled D_hat (B,): what the program computes, in double precision."""
-    lift, nx, linear = weights["network.lift.weight"], p.nodes, weights.layers("network.local")
-    rest = np.concatenate([p.z_zero, np.zeros(1), p.v_zero, np.zeros(1)])  # the mean of a constant u is that constant
-    constant = lift @ rest + weights["network.lift.bias"]
-    v = constant + D_hat[:, None, None] * lift[:, p.n] + (2 * grid.nodes(nx)[:, None] - 1) * lift[:, -1]
-    spectral = _spectral(weights)
-    forward, inverse = matrices.fourier(nx, len(spectral[0]))
-    for layer, R in zip(linear, spectral, strict=True):
-        v_hat = product(forward, v).reshape(len(D_hat), len(R), 2, -1)  # (B, modes, Re and Im, width)
-        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (B, modes, 2 width)
-        width = v.shape[-1]
-        y_hat = np.stack(
-            [real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]], axis=2
-        )
-        y_hat = y_hat.reshape(len(D_hat), 2 * len(R), width)
-        v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
-    return mlp(weights.layers("network.project"), v)
