@@ -14,7 +14,7 @@ from npred.base.errors import ConfigError, MissingError, installed, required
 
 _CPUINFO = Path("/proc/cpuinfo")
 _VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
-# What the libraries read on their start to choose instructions and the order of sums.
+# Variables that the libraries read on their start to choose instructions and the order of sums.
 _MODES = (
     "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
     "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "NUMBA_CPU_NAME",

@@ -79,7 +79,7 @@ class Registry:
         entry = None if name in self.builtin else self._installed().get(name)
         if entry is None:
             return name
-        foreign = entry.dist and not self.is_npreds(name)  # what npred brings is keyed by its code
+        foreign = entry.dist and not self.is_npreds(name)  # parts of npred are keyed by their code
         package = {"package": entry.dist.name, "version": entry.dist.version} if foreign else {}
         return {"name": name, "target": entry.value} | package
 
@@ -258,7 +258,7 @@ STAGES = ("identify", "generate", "train", "evaluate", "certify", "bench", "repo
 
 
 def declared_stage(name: str) -> Any:
-    """What a stage declares of itself: an npred.lab.scheduler.declaration.Stage."""
+    """The declaration of a stage: an npred.lab.scheduler.declaration.Stage."""
     return importlib.import_module(f"npred.lab.stages.{name}").STAGE
 
 
@@ -331,7 +331,7 @@ def meaning(content: bytes) -> bytes:
 
 def _branch(node: Any) -> Any:
     """A node as its name and fields; newer versions have more fields, which are empty where they mean nothing."""
-    if isinstance(node, list):  # of statements those that are but a constant, as docstrings, do nothing
+    if isinstance(node, list):  # statements that are but a constant, as docstrings, do nothing
         return [_branch(n) for n in node if not (isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant))]
     if not isinstance(node, ast.AST):
         return node

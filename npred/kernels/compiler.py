@@ -29,7 +29,7 @@ FLAGS = (
     "-freciprocal-math", "-fno-trapping-math", "-fno-math-errno", "-fno-strict-aliasing", "-Wall", "-Wextra",
     "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-unknown-pragmas",
 )  # fmt: skip
-# Of what a controller runs: each operation rounds by itself, as C99 has it, so that its export computes the same.
+# Flags for kernels of a controller: each operation rounds by itself, as in C99, so that its export computes the same.
 EXACT = ("-ffp-contract=off", "-fno-reciprocal-math", "-fsigned-zeros")
 LIMIT = 1200.0  # s that a compiler may take
 SIDE_BY_SIDE = 2  # compilers at once
@@ -120,14 +120,14 @@ def _compile(folder: Path, flags: tuple[str, ...]) -> None:
 
 
 def complaint(done: subprocess.CompletedProcess[str]) -> str:
-    """What a compiler that failed said: its first line with an error, else its first one, else how it ended."""
+    """The complaint of a compiler that failed: its first line with an error, else its first one, else how it ended."""
     lines = [line for line in done.stderr.splitlines() if "error" in line]
     return first_line("\n".join(lines) or done.stderr, f"no word, exit code {done.returncode}")
 
 
 @cache
 def _libraries() -> tuple[str, ...]:
-    """What a kernel is linked with: of ziglang the libraries of C that this process runs with.
+    """The libraries that a kernel is linked with: for ziglang those of C that this process runs with.
 
     Its own ones it would compile first, for six seconds.
     """
@@ -146,7 +146,7 @@ def _named(text: str, flags: tuple[str, ...]) -> str:
 
 @cache
 def version() -> str | None:
-    """What the compiler says that it is; None where there is none."""
+    """The first line of the compiler's `--version`; None where there is no compiler."""
     if not (words := found()):
         return None
     said = subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout

@@ -17,7 +17,7 @@ FOLDER = Path(__file__).parent / "c"
 NUMBERS = {"t": "double", "dt": "double", "b": "double", "gate": "double", "k": "INDEX", "origin": "INDEX"}
 PREPARED = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
-AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
+AXES = {  # axes of the arrays that tell the sizes of a call, before the lanes; the last array counts
     **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept"), ()),
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed", "low", "high"), ("m",)),

@@ -12,10 +12,10 @@ from npred.base import grid
 from npred.networks import matrices
 
 FILE = "domain.safetensors"
-MOMENTS = 3  # of each input
+MOMENTS = 3  # moments of each input
 KEPT = 256  # rows that are kept as examples
-FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
-ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
+FLOOR = 1e-3  # least spread of a feature, as a share of its mean, so that a constant one has an inside
+ROUNDING = 1e-9  # share of the limit that is added, so that the farthest row is inside
 Phase = Callable[[np.ndarray], np.ndarray | None]
 
 

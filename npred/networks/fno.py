@@ -27,7 +27,7 @@ from npred.networks.weights import Weights
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
 SPREAD = 6.0  # standard deviations of D_hat that the series covers; beyond, N at rest is evaluated like the sample
 TERMS = 64
-SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left out
+SMALL = 1e-2  # share of the rounding of the largest coefficient below which the series ends
 
 
 def shapes(n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, layers: int = 4) -> Shapes:
@@ -101,7 +101,7 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     low, high = max(0.0, mean - SPREAD * std), mean + SPREAD * std
     points = np.polynomial.chebyshev.chebpts1(TERMS)
     D_hat = (low + (high - low) * (points + 1) / 2 - mean) / std
-    # what the program computes, for all of them: v (TERMS, nodes, width)
+    # the same computation as the program, for all of them: v (TERMS, nodes, width)
     lift, nx, linear = weights["network.lift.weight"], p.nodes, weights.layers("network.local")
     rest = np.concatenate([p.z_zero, np.zeros(1), p.v_zero, np.zeros(1)])  # the mean of a constant u is that constant
     constant = lift @ rest + weights["network.lift.bias"]
@@ -110,7 +110,7 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     forward, inverse = matrices.fourier(nx, len(spectral[0]))
     for layer, R in zip(linear, spectral, strict=True):
         v_hat = product(forward, v).reshape(TERMS, len(R), 2, -1)  # (TERMS, modes, Re and Im, width)
-        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (TERMS, modes, 2 width)
+        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # (TERMS, modes, 2 width)
         width = v.shape[-1]
         y_hat = real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]
         y_hat = np.stack(y_hat, axis=2).reshape(TERMS, 2 * len(R), width)

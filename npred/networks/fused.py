@@ -30,7 +30,7 @@ EXP2 = {
 }
 EXPM1 = {kind: [1 / math.factorial(k + 1) for k in range(terms)] for kind, terms in ((np.float32, 7), (np.float64, 13))}
 KINDS = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
-RENAMED = {"N": "N_"}  # of the buffers, beside the macro N
+RENAMED = {"N": "N_"}  # buffers whose names are macros
 
 
 class Fused(Compiled):
@@ -176,7 +176,7 @@ def kernel(p: Program) -> Kernel:
         lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
         texts.append(f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n")
     constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
-    doubles = sum(p.buffers.values()) + p.nx  # of memory, for numbers of either precision
+    doubles = sum(p.buffers.values()) + p.nx  # scratch memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
     numbers, kind = np.finfo(p.precision), KINDS[np.dtype(p.precision)]
     exp2, expm1 = (f"{{{', '.join(literal(c, kind) for c in of[p.precision])}}}" for of in (EXP2, EXPM1))

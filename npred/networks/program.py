@@ -10,10 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-Layers = Sequence[Mapping[str, np.ndarray]]  # of a network: the weight (out, in) and the bias (out,) of each
+Layers = Sequence[Mapping[str, np.ndarray]]  # the weight (out, in) and the bias (out,) of each layer
 
 
-Shapes = dict[str, tuple[int, ...]]  # of the arrays in a file of weights, by name
+Shapes = dict[str, tuple[int, ...]]  # the shape of each array in a file of weights
 
 
 def linear_shapes(name: str, fan_in: int, fan_out: int, bias: bool = True) -> Shapes:
@@ -65,7 +65,7 @@ class Matrix:
 
 
 TILES = {1: 8, 2: 6, 3: 4}  # vectors of the widest tile of a product with one row, two, or more: kernels/c/network.h
-TILE_BYTES = 32  # of a vector; on processors with shorter ones it is several
+TILE_BYTES = 32  # size of a vector; on processors with shorter ones it is several
 View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.networks.fused
 
 
@@ -196,9 +196,9 @@ class Program:
     nx: int
     rows: int = 1
     stride: int = 1
-    period: float | None = None  # of the plant's time, in seconds, where the network sees it
+    period: float | None = None  # period of the plant's time, in seconds, where the network sees it
     twice: bool = False
-    precision: type[np.floating] = np.float32  # of the constants and buffers
+    precision: type[np.floating] = np.float32  # type of the constants and buffers
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     buffers: dict[str, int] = field(default_factory=dict)

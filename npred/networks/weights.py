@@ -21,7 +21,7 @@ MANIFEST = "model.json"
 
 
 class NetworkTable(Protocol):
-    """What a network is built from: its name in the registry, its anchor, the keyword arguments of its class."""
+    """The arguments of a network: its name in the registry, its anchor, the keyword arguments of its class."""
 
     @property
     def architecture(self) -> str: ...

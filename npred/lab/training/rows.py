@@ -1,4 +1,4 @@
-"""What a training takes: the rows, in memory or read in every epoch, and all that is fitted to them."""
+"""The input of a training: the rows, in memory or read in every epoch, and all that is fitted to them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-BETA = 0.95  # of every running mean: both moments and both covariances
+BETA = 0.95  # decay of every running mean: both moments and both covariances
 EVERY = 10  # steps between two corrections of the eigenbases
 EPS = 1e-8
-SHIFT = 1e-10  # of the mean eigenvalue: a direction that no gradient has yet keeps its vector
-RIDGE = 1e-13  # of the unit columns' Gram matrix: rounding makes that of dependent ones indefinite
+SHIFT = 1e-10  # share of the mean eigenvalue: a direction that no gradient has yet keeps its vector
+RIDGE = 1e-13  # added to the unit columns' Gram matrix: rounding makes that of dependent ones indefinite
 State = dict[str, Any]
 
 
@@ -103,7 +103,7 @@ class GraphSOAP(SOAP):
         self.steps = like.new_zeros((), dtype=torch.float32)
         for p, mean, square in zip(self.parameters, self._pieces(self.mean), self._pieces(self.square), strict=True):
             self.state[p] = {"step": self.steps, "mean": mean, "square": square}
-        counts = Counter[int]()  # of bases by size
+        counts = Counter[int]()  # number of bases by size
         for p in self.parameters:
             for size in _matrix(p):
                 counts[size] += math.prod(p.shape[:-2])

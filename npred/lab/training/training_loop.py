@@ -22,7 +22,7 @@ from npred.networks.weights import file_of
 
 CHUNK = 1024  # rows of a call without gradients
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
-CYCLES = 4  # of that rate in a training that may end before its last epoch, each twice as long as the one before
+CYCLES = 4  # cycles of that rate in a training that may end before its last epoch, each twice as long as the one before
 
 
 def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:

@@ -20,7 +20,7 @@ from npred.prediction.delays import family
 from npred.prediction.delays.constant import ConstantDelay
 from npred.prediction.delays.family import CURES, PredictionProblem, Step, compiled
 
-STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
+STEPS = 20  # steps of Newton's method for s(1); a delay that is free of time needs one
 
 
 class DeclaredDelay(PredictionProblem):

@@ -17,7 +17,7 @@ from npred.networks.domain import Domain
 from npred.networks.weights import NetworkTable, Weights, check_anchor
 from npred.plants.base import Plant
 
-NODES = 5  # of the tiny batch that a network is asked on
+NODES = 5  # nodes of the tiny batch that checks a network
 
 
 class Operator(nn.Module):
@@ -38,7 +38,7 @@ class Operator(nn.Module):
     def __init__(self, network: nn.Module, scaling: Scaling, anchor: str, X_rest: Tensor, u_rest: Tensor) -> None:
         super().__init__()
         self.network, self.scaling, self.anchor = network, scaling, anchor
-        self.domain: Domain | None = None  # of the data, where it was saved with the network
+        self.domain: Domain | None = None  # the domain of the data, where it was saved with the network
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
 

@@ -57,7 +57,7 @@ def as_tensors(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of sizes that gives one matrix or several, as one of sizes, type and device that gives tensors."""
 
     @lru_cache(maxsize=32)
-    @torch.inference_mode(False)  # what an inference run caches must serve training too
+    @torch.inference_mode(False)  # a tensor that an inference run caches must serve training too
     def tensors(*arguments: Any) -> Any:
         *sizes, dtype, device = arguments
         return tree_map(lambda a: torch.as_tensor(a, dtype=dtype, device=device), function(*sizes))
