@@ -19,6 +19,7 @@ from npred.lab.store import Artifact, Question, Store
 from npred.lab.store.manifest import sha256
 from npred.lab.training import operators
 from npred.lab.training.data.dataset import MEANING, Dataset
+from npred.networks.weights import read
 
 PAYLOAD = b"payload" * 99
 TOKENS = (
@@ -155,8 +156,8 @@ def load_weights(folder: Path, content: bytes) -> bool:
     table, _, weights = content.partition(b"\n\0\n")
     (folder / "model.json").write_bytes(table)
     (folder / "model.safetensors").write_bytes(weights)
-    found = operators.load(folder, plants.resolve("scalar"))
-    if sum(p.numel() for p in found.state_dict().values()) * 4 > len(weights):
+    found = read(folder, plants.resolve("scalar"))
+    if sum(array.size for array in found.arrays.values()) * 4 > len(weights):
         raise Wrong("more weights than bytes")
     return False
 

@@ -17,7 +17,6 @@ from npred.lab.training import training_loop
 from npred.lab.training.operators import Operator, Scaling
 from npred.lab.training.operators.deeponet import mlp
 from npred.lab.training.operators.fno import Spectral
-from npred.lab.training.operators.io import save_weights
 from npred.lab.training.rows import Fit, Rows
 from npred_experiments import horizons, latency
 from npred_experiments.experiment import AS_MEANT, TrainedForLoop
@@ -92,6 +91,6 @@ def trained(folder: Path, scratch: Path, progress: Any, epochs: int = EPOCHS) ->
     fit = Fit("horizons fno", operator, table, rows, Rows.of(unseen), square, seed)
     scratch.mkdir(parents=True, exist_ok=True)
     last = training_loop.fit(fit, scratch, progress)[-1]
-    save_weights(folder / "horizons.safetensors", operator)
+    operator.weights().save(folder / "horizons.safetensors")
     ms = latency.median_of(partial(inverse, operator, horizons.draws()[0], horizons.times()[:-1]))
     return operator, TrainedForLoop(network="fno", loop=AS_MEANT, ms=ms, **numbers(operator, rows, last, start))

@@ -111,7 +111,7 @@ class LoopTraining:
         test, train = rest(samples).parted(round(HELD_OUT * len(samples.X) / loop.kept) * loop.kept)
         learned = rows(train, table.nodes)
         operator = self._operator(table, plant, train)
-        criterion = loss.criterion(table.rows, loss.weights(table, plant, learned.P))
+        criterion = loss.Criterion(table.rows, loss.weights(table, plant, learned.P))
         seed = randomness.integer(SEED, "order", self.network)
         fit = Fit(self.title(name), operator, table, learned, rows(test), criterion, seed)
         for turn in range(loop.rounds):

@@ -204,7 +204,8 @@ def bring(inputs: Path, outputs: Path, name: str, rollouts: int | None, output: 
 
 def main(arguments: list[str] | None = None) -> int:
     """Read the command line; the exit code."""
-    parser = argparse.ArgumentParser("python -m npred_experiments.published_data", description=__doc__.splitlines()[0])
+    about = str(__doc__).partition("\n")[0]
+    parser = argparse.ArgumentParser("python -m npred_experiments.published_data", description=about)
     parser.add_argument("inputs", type=Path, help="rows of D_hat, inputs, states, node after node")
     parser.add_argument("outputs", type=Path, help="rows of P, one number per state, node after node")
     parser.add_argument("--plant", default="activator_repressor", help="a name or my_plant.py:Tank")

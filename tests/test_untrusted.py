@@ -24,6 +24,7 @@ from npred.lab.scheduler.models import load_model
 from npred.lab.scheduler.plan import nodes
 from npred.lab.store import Store
 from npred.lab.training import operators
+from npred.networks.weights import read
 
 ROOT = HERE.parent
 MODULES = [p for folder in ("npred", "benchmarks", "docs") for p in sorted((ROOT / folder).rglob("*.py"))]
@@ -95,6 +96,7 @@ def model(folder: Path, table: DeepONet | FNO) -> dict[str, Any]:
     [
         (DeepONet(width=4, depth=1, basis=3, trunk=4), {"width": 10**9}),
         (DeepONet(width=4, depth=1, basis=3, trunk=4), {"width": 10**15}),
+        (DeepONet(width=4, depth=1, basis=3, trunk=4), {"width": 10**30}),
         (DeepONet(width=4, depth=1, basis=3, trunk=4), {"depth": 10**12}),
         (FNO(width=3, modes=2, layers=1), {"layers": 10**12}),
         (FNO(width=3, modes=2, layers=1), {"modes": 10**9, "width": 10**6}),
@@ -104,14 +106,14 @@ def test_no_room_is_made_for_weights_that_are_not_there(tmp_path: Path, table: D
     found = model(tmp_path, table)
     (tmp_path / "model.json").write_text(json.dumps(found | {"arguments": found["arguments"] | change}))
     with pytest.raises(StoreError, match=r"model\.safetensors: expected weights of this model, got: "):
-        operators.load(tmp_path, plants.resolve("scalar"))
+        read(tmp_path, plants.resolve("scalar"))
 
 
 def test_a_size_that_no_pipeline_may_ask_for_is_refused(tmp_path: Path):
     found = model(tmp_path, DeepONet(width=4, depth=1, basis=3, trunk=4))
     (tmp_path / "model.json").write_text(json.dumps(found | {"arguments": found["arguments"] | {"width": 10**30}}))
     with pytest.raises(StoreError, match=r"model\.json: expected a network of deeponet, fno, .*got: .* width"):
-        operators.load(tmp_path, plants.resolve("scalar"))
+        read(tmp_path, plants.resolve("scalar"))
 
 
 @pytest.mark.parametrize(
@@ -121,19 +123,19 @@ def test_a_strange_table_is_one_line(tmp_path: Path, text: str):
     model(tmp_path, FNO(width=3, modes=2, layers=1))
     (tmp_path / "model.json").write_text(text)
     with pytest.raises(StoreError, match=r"model\.json: expected "):
-        operators.load(tmp_path, plants.resolve("scalar"))
+        read(tmp_path, plants.resolve("scalar"))
 
 
 def test_weights_of_another_precision_or_shape_are_refused(tmp_path: Path):
     plant, table = plants.resolve("scalar"), FNO(width=3, modes=2, layers=1)
     model(tmp_path, table)
-    state = {k: v.contiguous() for k, v in operators.load(tmp_path, plant).state_dict().items()}
+    state = {k: v.contiguous() for k, v in read(tmp_path, plant).module(plant).state_dict().items()}
     for name, tensor in {"lift.weight": torch.zeros(3, 9), "lift.bias": torch.zeros(3, dtype=torch.int32)}.items():
         save_file(state | {f"network.{name}": tensor}, tmp_path / "model.safetensors")
         with pytest.raises(StoreError, match=f"network.{name}: expected"):
-            operators.load(tmp_path, plant)
+            read(tmp_path, plant)
     save_file(state, tmp_path / "model.safetensors")
-    operators.load(tmp_path, plant)
+    read(tmp_path, plant)
 
 
 def test_some_hundreds_of_mutated_files():

@@ -116,8 +116,8 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
     operators.save(tmp_path, operator(EVERY[3]), EVERY[3])
     table = f"npred.lab.config.Network(network={EVERY[3].architecture!r})"
     plant = "npred.plant('activator_repressor')"
-    read = f"npred.lab.training.operators.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"
-    (line,) = script(f"import npred.lab.config, npred.lab.training.operators, pathlib\n{refused(read)}")
+    read = f"npred.networks.weights.read(pathlib.Path({str(tmp_path)!r}), {plant}, table={table})"
+    (line,) = script(f"import npred.lab.config, npred.networks.weights, pathlib\n{refused(read)}")
     assert line == f"5 network {EVERY[3].architecture}: expected the package torch, found none; {TRAIN}"
 
 
@@ -127,7 +127,6 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
         (f"{LOAD}, runtime='torch')", f"runtime torch: expected the package torch, {TRAIN}"),
         (f"{LOAD}, runtime='onnx')", "runtime onnx: expected the package torch, npred[onnx]"),
         (f"{LOAD}, device='cuda')", f"device: expected the package torch, {TRAIN}"),
-        ("from npred.lab.training.operators import Operator", f"networks: expected the package torch, {TRAIN}"),
         ("npred.base.registry.NETWORKS.load('network', 'fno')", f"network fno: expected the package torch, {TRAIN}"),
         ("npred.simulate(npred.plant('scalar'), None, D=1.0, D_hat=1.0, X0=[1.0], t_end=0.1, dt=0.01, adaptation=None)"
          ".to_dataframe()", "to_dataframe: expected the package pandas, pip install pandas"),
@@ -172,7 +171,6 @@ def test_to_train_takes_the_extra_and_is_refused_before_anything_runs(command, t
             ["export", "onnx", "p.toml:fno"],
             "export onnx: expected the package torch, found none; pip install 'npred[onnx]'",
         ),
-        (["certify", "p.toml"], f"certify: the gradient of a network: expected the package torch, found none; {TRAIN}"),
         (["evaluate", "p.toml", "--device", "cuda"], f"--device: expected the package torch, found none; {TRAIN}"),
     ],
 )

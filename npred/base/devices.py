@@ -14,7 +14,7 @@ from npred.base.errors import ConfigError, MissingError, installed, required
 
 _CPUINFO = Path("/proc/cpuinfo")
 _VECTOR = re.compile("avx|amx|fma|f16c|sse4|asimd|sve|bf16")
-# What the libraries read on their start to choose instructions and the order of sums.
+# Variables that the libraries read on their start to choose instructions and the order of sums.
 _MODES = (
     "MKL_ENABLE_INSTRUCTIONS", "MKL_DEBUG_CPU_TYPE", "ATEN_CPU_CAPABILITY", "ONEDNN_MAX_CPU_ISA",
     "DNNL_MAX_CPU_ISA", "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES", "NPY_ENABLE_CPU_FEATURES", "NUMBA_CPU_NAME",
@@ -29,7 +29,9 @@ def resolve(requested: str) -> str:
     Raises ConfigError for anything else.
     """
     if requested == "auto":
-        return "cuda" if _cuda_likely() else "cpu"
+        built_for_cpu = "+cpu" in (package("torch") or "+cpu")
+        hidden = os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1")
+        return "cuda" if not built_for_cpu and not hidden and any(Path("/dev").glob("nvidia[0-9]*")) else "cpu"
     if not re.fullmatch(r"cpu|cuda(:\d+)?", requested):
         raise ConfigError(f"device: expected auto, cpu, cuda or cuda:N, got {requested!r}; choose one of those")
     return requested
@@ -89,10 +91,12 @@ def arithmetic(device: str) -> dict[str, str | None]:
     """
     torch = sys.modules.get("torch")
     settings = " ".join(f"{name}={os.environ[name]}" for name in _MODES if os.environ.get(name))
+    cpu = _cpuinfo()
+    flags = set((cpu.get("flags") or cpu.get("Features", "")).split())  # by the kernel's names
     facts = {
         "device": "cpu" if device == "cpu" else ", ".join(["cuda", *_gpus()]),
         "cpu": _cpu(),
-        "cpu_features": " ".join(_features()),
+        "cpu_features": " ".join(sorted(flag for flag in flags if _VECTOR.match(flag))),
         "torch_kernels": torch.backends.cpu.get_cpu_capability() if torch else None,
         "mkl_mode": os.environ.get("MKL_CBWR") or "default",
         "arithmetic_settings": settings or None,
@@ -113,21 +117,8 @@ def packages(*names: str) -> dict[str, str | None]:
     return {name: package(name) for name in names}
 
 
-def _cuda_likely() -> bool:
-    built_for_cpu = "+cpu" in (package("torch") or "+cpu")
-    hidden = os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1")
-    return not built_for_cpu and not hidden and any(Path("/dev").glob("nvidia[0-9]*"))
-
-
 def _cpu() -> str:
     return _cpuinfo().get("model name") or platform.processor() or platform.machine()
-
-
-def _features() -> list[str]:
-    """The vector instructions of the processor, by the kernel's names."""
-    facts = _cpuinfo()
-    flags = facts.get("flags") or facts.get("Features", "")
-    return sorted(flag for flag in set(flags.split()) if _VECTOR.match(flag))
 
 
 def _cpuinfo() -> dict[str, str]:

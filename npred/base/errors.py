@@ -11,7 +11,7 @@ from pathlib import Path
 from types import ModuleType
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # of libraries that drop the number
+_WORDS = ("No space left on device", "Disk quota exceeded", "File too large")  # messages without a number
 
 
 class NpredError(Exception):
@@ -20,7 +20,7 @@ class NpredError(Exception):
     exit_code = 1
 
     def _render_traceback_(self) -> list[str]:
-        """What IPython shows of it: the lines of the caller. `%debug` has the frames of npred too."""
+        """The text for IPython: the lines of the caller. `%debug` has the frames of npred too."""
         inside = (str(Path(__file__).parents[1]), f"{os.sep}IPython{os.sep}")
         frames = [f for f in traceback.extract_tb(self.__traceback__) if not any(part in f.filename for part in inside)]
         return [*map(str.rstrip, traceback.format_list(frames)), f"{type(self).__name__}: {self}"]
@@ -45,7 +45,7 @@ class StoreError(NpredError):
 
 
 class MissingError(NpredError):
-    """What this machine lacks: an extra, a device, a compiler, a folder that compiled code is safe in."""
+    """This machine lacks something: an extra, a device, a compiler, a folder that compiled code is safe in."""
 
     exit_code = 5
 

@@ -1,4 +1,4 @@
-"""What a notebook shows of plants, predictors, controllers, loops and results: their text, escaped."""
+"""The text that a notebook shows of plants, predictors, controllers, loops and results, escaped."""
 
 import html
 

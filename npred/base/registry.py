@@ -25,15 +25,14 @@ class Entry(NamedTuple):
     """A built-in part: its module:Class, its label for people, and its line in figures.
 
     `look` is the role of the colour (of a runtime: its network's), the dash and the marker.
-    `lowering` is the module that makes a program of a network, where there is one, and `layout` the function that says
-    what its file of weights holds. `extra` is that of npred with all that the part needs, where it is not torch's.
+    `fused` is the module of a network's fused form, where there is one: it says what its file of weights holds, and
+    makes a program of it. `extra` is that of npred with all that the part needs, where it is not torch's.
     """
 
     target: str
     label: str
     look: tuple[str, tuple[float, ...], str] = ("green", (1, 1), "D")
-    lowering: str = ""
-    layout: str = ""
+    fused: str = ""
     extra: str = ""
 
 
@@ -80,7 +79,7 @@ class Registry:
         entry = None if name in self.builtin else self._installed().get(name)
         if entry is None:
             return name
-        foreign = entry.dist and not self.is_npreds(name)  # what npred brings is keyed by its code
+        foreign = entry.dist and not self.is_npreds(name)  # parts of npred are keyed by their code
         package = {"package": entry.dist.name, "version": entry.dist.version} if foreign else {}
         return {"name": name, "target": entry.value} | package
 
@@ -175,22 +174,14 @@ NETWORKS = Registry(
     "npred.networks",
     {
         "deeponet": Entry(
-            "npred.lab.training.operators.deeponet:DeepONetwork",
-            "DeepONet",
-            lowering="npred.networks.deeponet",
-            layout="npred.networks.layouts:deeponet",
+            "npred.lab.training.operators.deeponet:DeepONetwork", "DeepONet", fused="npred.networks.deeponet"
         ),
-        "fno": Entry(
-            "npred.lab.training.operators.fno:FNOnetwork",
-            "FNO",
-            lowering="npred.networks.fno",
-            layout="npred.networks.layouts:fno",
-        ),
+        "fno": Entry("npred.lab.training.operators.fno:FNOnetwork", "FNO", fused="npred.networks.fno"),
     },
 )
 METHODS = Registry(
     "predictor",
-    "npred.prediction.methods",
+    "npred.predictors",
     {
         "euler": Entry("npred.prediction.methods.runge_kutta:Euler", "Euler", ("green", (), "^")),
         "heun": Entry("npred.prediction.methods.runge_kutta:Heun", "Heun", ("green", (4, 1.6), "v")),
@@ -232,7 +223,7 @@ OBSERVERS = Registry(
 )
 RUNTIMES = Registry(
     "runtime",
-    "npred.networks",
+    "npred.runtimes",
     {
         "torch": Entry("npred.lab.training.neural:Neural", "torch", ("", (1, 1.5), "*")),
         "fused": Entry("npred.networks.fused:Fused", "fused", ("", (), "s")),
@@ -241,7 +232,7 @@ RUNTIMES = Registry(
 )
 RECORDINGS = Registry(  # by the suffix of a file
     "recording",
-    "npred.identification.recordings",
+    "npred.recordings",
     {
         "csv": Entry("npred.identification.recordings.csv:Csv", "CSV"),
         "txt": Entry("npred.identification.recordings.csv:Csv", "CSV"),
@@ -264,19 +255,12 @@ COMMANDS = Registry("command", "npred.commands")  # functions as the commands in
 PLANTS = Registry("plant", "npred.plants")  # the built-in ones are the files of npred/plants/builtin
 
 
-STAGES = (
-    "identify",
-    "generate",
-    "train",
-    "evaluate",
-    "certify",
-    "bench",
-    "report",
-)  # folders of npred/lab/stages, in order
+# folders of npred/lab/stages, in order
+STAGES = ("identify", "generate", "train", "evaluate", "certify", "bench", "report")
 
 
 def declared_stage(name: str) -> Any:
-    """What a stage declares of itself: an npred.lab.scheduler.declaration.Stage."""
+    """The declaration of a stage: an npred.lab.scheduler.declaration.Stage."""
     return importlib.import_module(f"npred.lab.stages.{name}").STAGE
 
 
@@ -349,7 +333,7 @@ def meaning(content: bytes) -> bytes:
 
 def _branch(node: Any) -> Any:
     """A node as its name and fields; newer versions have more fields, which are empty where they mean nothing."""
-    if isinstance(node, list):  # of statements those that are but a constant, as docstrings, do nothing
+    if isinstance(node, list):  # statements that are but a constant, as docstrings, do nothing
         return [_branch(n) for n in node if not (isinstance(n, ast.Expr) and isinstance(n.value, ast.Constant))]
     if not isinstance(node, ast.AST):
         return node

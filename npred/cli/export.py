@@ -18,11 +18,11 @@ from npred.guard.guarded import Guarded
 from npred.lab import config
 from npred.lab.config import Evaluate, conditions
 from npred.lab.scheduler.models import load_model
-from npred.lab.training import operators
 from npred.lab.training.data import shards
 from npred.loop.controller import Controller
 from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
+from npred.networks import weights
 from npred.networks.fused import Fused
 from npred.plants import Plant, inputs
 from npred.prediction.methods import Predictor, numerical
@@ -81,7 +81,7 @@ def format_command(form: str) -> Callable[..., None]:
 def _network(options: Exporting, key: str) -> TrainedNetwork:
     """A trained model, and held-out samples of its data on as many nodes; a time that is not known is 0."""
     nx, stored = options.nx or NX, load_model(key, options.store, options.set)
-    operator = operators.read(stored.folder, stored.plant, stored.snapshot, np.float32, stored.config)
+    operator = weights.read(stored.folder, stored.plant, stored.snapshot, np.float32, stored.config)
     source = options.results.find(str(stored.folder)).manifest.question.inputs["generate"]
     data = options.results.get("generate", source.key)
     if data is None:
@@ -112,7 +112,7 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     if model:
         kind = np.float32 if precision == "float" else np.float64
         stored = load_model(f"{file}:{model}", options.store, options.set)
-        operator = operators.read(stored.folder, plant, stored.snapshot, kind, stored.config)
+        operator = weights.read(stored.folder, plant, stored.snapshot, kind, stored.config)
         predictor: Predictor = Fused(plant, operator, nx, stored.model, precision=kind)
     else:
         predictor = numerical(options.predictor, plant, nx)

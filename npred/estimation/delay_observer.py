@@ -32,8 +32,7 @@ from npred.base.errors import ConfigError
 from npred.estimation.delay_law import DelayLaw
 from npred.formulas import programs
 from npred.formulas.tape import M
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.plants.black_box import difference

@@ -6,8 +6,7 @@ import numpy as np
 
 from npred.base.errors import ConfigError
 from npred.estimation.delay_law import DelayLaw
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.prediction.delays import family, problem_of

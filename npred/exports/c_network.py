@@ -13,8 +13,7 @@ from npred.exports import Exported, TrainedNetwork, c_files
 from npred.formulas.tape import Vector
 from npred.formulas.trace import Trace
 from npred.kernels.c_text import comment, constant
-from npred.kernels.formula import Strided, vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, Strided, vector
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import metrics
 from npred.networks import Samples, eps

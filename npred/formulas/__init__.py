@@ -3,5 +3,5 @@
 from typing import Any, TypeAlias
 
 Value: TypeAlias = Any  # a number or a symbol; declared functions run on arrays and tensors too
-Array: TypeAlias = Any  # of NumPy or torch
+Array: TypeAlias = Any  # an array of NumPy or torch
 Parameters: TypeAlias = Any  # values by name, p.a

@@ -24,7 +24,7 @@ def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Value
             continue
         seeds = [tangent_of(a, tangents) for a in args]
         if op in ("call", "item") and any(nonzero(s) for s in seeds if not isinstance(s, str)):
-            if op == "item":  # of the function's derivative
+            if op == "item":  # the same of the function's derivative
                 tangents[index] = tape.node("item", (seeds[0], args[1]))
                 continue
             name, direct = args[:2]

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from npred.base import array_checks, grid
 from npred.base.errors import ConfigError
-from npred.kernels.callback import Failure, callback
-from npred.kernels.kernel import made, skeleton
+from npred.kernels.kernel import Failure, callback, made, skeleton
 from npred.networks.domain import Domain
 from npred.plants.base import Plant
 from npred.prediction.delays import family, problem_of

@@ -52,7 +52,7 @@ def folder() -> Path:
         return _temporary()
 
 
-root = cache(folder)  # of this process, checked once
+root = cache(folder)  # the folder of this process, checked once
 
 
 def _absolute(variable: str) -> Path | None:

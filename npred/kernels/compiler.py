@@ -29,7 +29,7 @@ FLAGS = (
     "-freciprocal-math", "-fno-trapping-math", "-fno-math-errno", "-fno-strict-aliasing", "-Wall", "-Wextra",
     "-Wno-unused-parameter", "-Wno-unused-function", "-Wno-unknown-pragmas",
 )  # fmt: skip
-# Of what a controller runs: each operation rounds by itself, as C99 has it, so that its export computes the same.
+# Flags for kernels of a controller: each operation rounds by itself, as in C99, so that its export computes the same.
 EXACT = ("-ffp-contract=off", "-fno-reciprocal-math", "-fsigned-zeros")
 LIMIT = 1200.0  # s that a compiler may take
 SIDE_BY_SIDE = 2  # compilers at once
@@ -64,8 +64,21 @@ def library(text: str, exact: bool = False) -> ctypes.CDLL:
     flags = (*FLAGS, *EXACT) if exact else FLAGS
     name = _named(text, flags)
     with _locks[name]:
-        if name not in _loaded:
-            _loaded[name] = ctypes.CDLL(str(_kept(name, text, flags) / LIBRARY))
+        if name in _loaded:
+            return _loaded[name]
+        target = disk.root() / name
+        if not disk.sound(target):
+            aside = disk.aside()
+            try:
+                (aside / TEXT).write_text(text, encoding="utf-8")
+                with progress.announce(ALONE, _seconds([text]), ONCE):
+                    _compile(aside, flags)
+                disk.install(aside, target)
+            except OSError as error:
+                raise disk.full(error, disk.root()) or error from None
+            finally:
+                shutil.rmtree(aside, ignore_errors=True)
+        _loaded[name] = ctypes.CDLL(str(target / LIBRARY))
         return _loaded[name]
 
 
@@ -90,24 +103,6 @@ def _seconds(texts: Iterable[str]) -> float:
     return (START * len(lines) + sum(lines) / SPEED) / min(SIDE_BY_SIDE, max(len(lines), 1))
 
 
-def _kept(name: str, text: str, flags: tuple[str, ...]) -> Path:
-    """The folder of a library, sound, made if it has to be."""
-    target = disk.root() / name
-    if disk.sound(target):
-        return target
-    aside = disk.aside()
-    try:
-        (aside / TEXT).write_text(text, encoding="utf-8")
-        with progress.announce(ALONE, _seconds([text]), ONCE):
-            _compile(aside, flags)
-        disk.install(aside, target)
-    except OSError as error:
-        raise disk.full(error, disk.root()) or error from None
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-    return target
-
-
 def _compile(folder: Path, flags: tuple[str, ...]) -> None:
     asked = [*command(), *flags, TEXT, "-o", LIBRARY]
 
@@ -125,14 +120,14 @@ def _compile(folder: Path, flags: tuple[str, ...]) -> None:
 
 
 def complaint(done: subprocess.CompletedProcess[str]) -> str:
-    """What a compiler that failed said: its first line with an error, else its first one, else how it ended."""
+    """The complaint of a compiler that failed: its first line with an error, else its first one, else how it ended."""
     lines = [line for line in done.stderr.splitlines() if "error" in line]
     return first_line("\n".join(lines) or done.stderr, f"no word, exit code {done.returncode}")
 
 
 @cache
 def _libraries() -> tuple[str, ...]:
-    """What a kernel is linked with: of ziglang the libraries of C that this process runs with.
+    """The libraries that a kernel is linked with: for ziglang those of C that this process runs with.
 
     Its own ones it would compile first, for six seconds.
     """
@@ -151,7 +146,7 @@ def _named(text: str, flags: tuple[str, ...]) -> str:
 
 @cache
 def version() -> str | None:
-    """What the compiler says that it is; None where there is none."""
+    """The first line of the compiler's `--version`; None where there is no compiler."""
     if not (words := found()):
         return None
     said = subprocess.run([*words, "--version"], capture_output=True, text=True, timeout=60).stdout

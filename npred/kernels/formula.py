@@ -10,11 +10,15 @@ one call to the next: what is needed later is an array with a number for each la
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from npred.formulas import programs
+import numpy as np
+
+from npred.formulas import called_functions, programs
 from npred.formulas.tape import OPS, Vector
+from npred.formulas.trace import Trace
 
 TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} != 0 ? {1} : {2}",
@@ -71,6 +75,41 @@ def vector(name: str, size: int, stride: str = "lanes", prefix: str | None = Non
     return Strided(name, [f"{name if prefix is None else prefix}{k}" for k in range(size)], stride)
 
 
+class Formulas:
+    """A trace, and C functions of what is made on it; `{name}` stands for the name of each."""
+
+    def __init__(self, plant: Any, called: Collection[str] | None = None) -> None:
+        """Of `called` the functions are not written out; by default of those whose programs are long."""
+        self.plant = plant
+        self.trace = Trace(plant, called_functions.called(plant) if called is None else called)
+
+    def function(
+        self, outputs: Any, arguments: Iterable[Strided | str], results: Mapping[str, int], stride: str = "lanes"
+    ) -> str:
+        """The C function of some outputs; see `function`."""
+        n, m = self.plant.n, self.plant.m
+        sizes = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
+        sizes = {"f": n, "df": n, "kappa": m, "law": 2 * m} | sizes
+        return function("{name}", outputs, arguments, results, len(self.plant.p), stride, sizes)
+
+    def f(self) -> str:
+        """f of x, u with the stride of lanes, to y next to each other."""
+        n, m = self.plant.n, self.plant.m
+        y = self.trace.f(self.trace.vector("x", n), self.trace.vector("u", m), self.trace.input("t"))
+        return self.function(y, [vector("x", n), vector("u", m), "t"], {"y": n}, "one")
+
+    def called(self) -> list[str]:
+        """The functions that those of this trace call."""
+        texts = []
+        for name in self.trace.tape.called():
+            arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
+            read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
+            targets = [f"y[{k}][l]" for k in range(len(outputs))]
+            lines = [_statement(line) for line in programs.lines(np.ravel(outputs), read, targets, TEXTS)]
+            texts.append(CALLED.format(name=name, loop=LOOP, lines="\n        ".join(lines)))
+        return texts
+
+
 def function(
     name: str, outputs: Vector, arguments: Iterable[Strided | str], results: Mapping[str, int], p: int,
     stride: str = "lanes", sizes: Mapping[str, int] = {},
@@ -121,11 +160,6 @@ def unused(arguments: str, lines: Sequence[str]) -> list[str]:
     return [f"(void)({name});" for name in names if name not in read]
 
 
-def statements(outputs: Vector, bindings: Mapping[str, str], targets: Sequence[str]) -> list[str]:
-    """The statements that compute the outputs, results written to `targets`."""
-    return [_statement(line) for line in programs.lines(outputs, bindings, targets, TEXTS)]
-
-
 def _statement(line: str) -> str:
     left, _, right = line.partition(" = ")
     right = _NUMBER.sub(lambda number: NUMBERS[number[0]], right)
@@ -133,11 +167,6 @@ def _statement(line: str) -> str:
         return f"{left} = {right};"
     kind = "int" if re.fullmatch(r"\S+ <=? \S+", right) else "double"
     return f"const {kind} {left} = {right};"
-
-
-def called(name: str, lines: Sequence[str]) -> str:
-    """The C of a function that is called, of statements that read q[k][l] and write y[k][l]."""
-    return CALLED.format(name=name, loop=LOOP, lines="\n        ".join(lines))
 
 
 def grouped(program: Sequence[str], sizes: Mapping[str, int], statement: Callable[[str], str]) -> list[str]:

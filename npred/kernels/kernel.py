@@ -13,12 +13,11 @@ import numpy as np
 from npred.kernels import compiler
 
 FOLDER = Path(__file__).parent / "c"
-NUMBERS = dict.fromkeys(("t", "dt", "b", "gate"), "double") | dict.fromkeys(
-    ("k", "origin"), "INDEX"
-)  # others are arrays
+# Arguments that are numbers; others are arrays
+NUMBERS = {"t": "double", "dt": "double", "b": "double", "gate": "double", "k": "INDEX", "origin": "INDEX"}
 PREPARED = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
-AXES = {  # of the arrays whose sizes those of a call are, before the lanes; of several the last one counts
+AXES = {  # axes of the arrays that tell the sizes of a call, before the lanes; the last array counts
     **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept"), ()),
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed", "low", "high"), ("m",)),
@@ -192,3 +191,47 @@ def made(
     text = "\n".join([*texts, *defines, body, *ends]) + "\n"
     counts = sizes.get("N", 0), sizes.get("M", 0)
     return Kernel(f"{name}_{digest}", arguments, text, tuple(before), tuple(parts.values()), counts, **rest)
+
+
+class Failure:
+    """Whether a part in Python of a loop in C has failed, for that loop to see, and its error."""
+
+    def __init__(self) -> None:
+        self.flag = ctypes.c_int(0)
+        self.error: BaseException | None = None
+
+    def raised(self) -> None:
+        """Raise that error, once."""
+        error, self.error, self.flag.value = self.error, None, 0
+        if error is not None:
+            raise error
+
+
+def callback(function: Callable[..., Any], arguments: str, fixed: Mapping[str, np.ndarray], failure: Failure) -> Any:
+    """The pointer to a function of these arguments, which gets views of the loop's memory.
+
+    `fixed` are arrays whose shape the sizes of a call do not tell.
+    """
+    argument_names = names(arguments)
+    views: dict[tuple[int, tuple[int, ...]], np.ndarray] = {}
+
+    def viewed(name: str, value: Any, shape: Shape) -> Any:
+        if name in NUMBERS or name in fixed:
+            return fixed.get(name, value)
+        sizes = (*(getattr(shape, axis) for axis in AXES[name]), shape.lanes)
+        if (value, sizes) not in views:
+            numbers = (ctypes.c_double * int(np.prod(sizes))).from_address(value)
+            views[value, sizes] = np.ctypeslib.as_array(numbers).reshape(sizes)
+        return views[value, sizes]
+
+    def call(shape: Shape, *values: Any) -> None:
+        if failure.error is None:
+            try:
+                with np.errstate(all="ignore"):  # a lost loop is NaN, and no cause for a warning
+                    passed = zip(argument_names, values[:-1], strict=True)
+                    function(*(viewed(name, value, shape) for name, value in passed))
+            except BaseException as error:  # it cannot pass through C
+                failure.error = error
+                failure.flag.value = 1
+
+    return foreign_type(arguments)(call)

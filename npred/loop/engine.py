@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from npred.kernels import compiler
-from npred.kernels.callback import Failure, callback
-from npred.kernels.kernel import Kernel, Shape, address, skeleton
+from npred.kernels.kernel import Failure, Kernel, Shape, address, callback, skeleton
 from npred.loop import signals
 from npred.loop.safety import SafetyFilter
 from npred.loop.signals import PARTS, Events, Record, Settings, State

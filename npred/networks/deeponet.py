@@ -5,10 +5,33 @@ from dataclasses import replace
 import numpy as np
 
 from npred.networks import matrices
-from npred.networks.program import Dots, Layers, Matrix, Mirror, Product, Program, Repeat, Silu, SiluPair, mlp
+from npred.networks.program import (
+    Dots,
+    Layers,
+    Matrix,
+    Mirror,
+    Product,
+    Program,
+    Repeat,
+    Shapes,
+    Silu,
+    SiluPair,
+    mlp,
+    mlp_shapes,
+)  # fmt: skip
 from npred.networks.weights import Weights
 
+DEGREE = 12  # Legendre polynomials that the trunk sees: x alone gives a basis of almost straight lines at the start
 PAIRED, STRIDED = True, False  # the sample runs beside the point of rest; every node is evaluated
+
+
+def shapes(
+    n: int, m: int, clock: int = 0, *,
+    width: int = 96, depth: int = 4, basis: int = 48, trunk: int = 64, moments: int = 16,
+) -> Shapes:  # fmt: skip
+    """The arrays of npred.lab.training.operators.deeponet.DeepONetwork, with its arguments."""
+    branch = [n + clock + moments * m + 1, *[width] * depth, n * (basis + m)]
+    return mlp_shapes("branch", branch, bias=False) | mlp_shapes("trunk", [DEGREE, trunk, trunk, basis])
 
 
 def append(p: Program, weights: Weights) -> None:

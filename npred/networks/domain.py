@@ -9,12 +9,13 @@ import numpy as np
 from safetensors.numpy import load_file, save_file
 
 from npred.base import grid
+from npred.networks import matrices
 
 FILE = "domain.safetensors"
-MOMENTS = 3  # of each input
+MOMENTS = 3  # moments of each input
 KEPT = 256  # rows that are kept as examples
-FLOOR = 1e-3  # of a feature's mean: the least spread that one is given, so that a constant one has an inside
-ROUNDING = 1e-9  # of the limit: the row that it is the distance of is inside
+FLOOR = 1e-3  # least spread of a feature, as a share of its mean, so that a constant one has an inside
+ROUNDING = 1e-9  # share of the limit that is added, so that the farthest row is inside
 Phase = Callable[[np.ndarray], np.ndarray | None]
 
 
@@ -82,7 +83,7 @@ class Domain:
 
 def legendre(nx: int) -> np.ndarray:
     """Weights (MOMENTS, nx) of the integrals of u P_k(2x - 1) over [0, 1] on nx nodes."""
-    return np.polynomial.legendre.legvander(2 * grid.nodes(nx) - 1, MOMENTS - 1).T * grid.trapezoid(nx)
+    return matrices.legendre(nx, MOMENTS).T * grid.trapezoid(nx)
 
 
 def _features(

@@ -9,75 +9,85 @@ from npred.networks import matrices
 from npred.networks.program import (
     Dots,
     Matrix,
-    Operation,
     Product,
     Program,
     Recombine,
     Repeat,
     Series,
+    Shapes,
     Silu,
+    linear_shapes,
     mlp,
+    mlp_shapes,
     product,
     silu,
-)
+)  # fmt: skip
 from npred.networks.weights import Weights
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
 SPREAD = 6.0  # standard deviations of D_hat that the series covers; beyond, N at rest is evaluated like the sample
 TERMS = 64
-SMALL = 1e-2  # of the rounding of the largest coefficient: what follows is left out
+SMALL = 1e-2  # share of the rounding of the largest coefficient below which the series ends
+
+
+def shapes(n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, layers: int = 4) -> Shapes:
+    """The arrays of npred.lab.training.operators.fno.FNOnetwork, with its arguments."""
+    arrays = linear_shapes("lift", n + clock + 1 + m + 1, width)
+    for k in range(layers):
+        arrays |= {f"spectral.{k}.{part}": (modes, width, width) for part in ("real", "imag")}
+        arrays |= linear_shapes(f"local.{k}", width, width)
+    return arrays | mlp_shapes("project", [width, 2 * width, n], bias=False)
 
 
 def append(p: Program, weights: Weights) -> None:
     """Append the network's operations, nodes by channels."""
-    v = _lift(p, weights)
-    p.operations.append(Repeat(len(weights.layers("network.local")), _layer(p, weights, v)))
-    p.operations += _project(p, weights, v)
-    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
-        p.twice = True
-        p.buffer("N_rest", 1, p.n * p.nodes)
-    elif weights.anchor == "equilibrium":
-        p.series = _at_rest(p, weights)
-
-
-def _lift(p: Program, weights: Weights) -> Matrix:
-    """v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u."""
-    n, m, nx, weight = p.n, p.m, p.nodes, weights["network.lift.weight"].T
-    width = weight.shape[1]
-    shift, waves = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
-    zero = weights["network.lift.bias"] + p.z_zero @ weight[:n] + p.v_zero @ weight[p.columns : -1]
-    bias, by_z = p.constant("lift", zero), p.weights("by_z", weight[: p.columns], 1)
-    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.weights("by_x", weight[-1:], nx)
-    by_mean = p.weights("by_mean", weight[p.columns : -1], nx)
+    n, m, nx, lift = p.n, p.m, p.nodes, weights["network.lift.weight"].T
+    width, linear, spectral = lift.shape[1], weights.layers("network.local"), _spectral(weights)
+    # v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u
+    shift, v = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
+    zero = weights["network.lift.bias"] + p.z_zero @ lift[:n] + p.v_zero @ lift[p.columns : -1]
+    bias, by_z = p.constant("lift", zero), p.weights("by_z", lift[: p.columns], 1)
+    nodes, by_x = p.constant("nodes", 2 * grid.nodes(nx)[:, None] - 1), p.weights("by_x", lift[-1:], nx)
+    by_mean = p.weights("by_mean", lift[p.columns : -1], nx)
     p.operations += [
         Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
-        Product(waves, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
-        Product(waves, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
+        Product(v, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
+        Product(v, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
     ]
-    return waves
-
-
-def _layer(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
-    """v = silu(W v + b + F^-1 (R_k F v))."""
-    width, nx, linear, spectral = v.row, p.nodes, weights.layers("network.local"), _spectral(weights)
-    modes = len(spectral[0])
+    # v = silu(W v + b + F^-1 (R_k F v)), layer after layer
+    modes, pair = len(spectral[0]), 2 * width  # the real and the imaginary part of R, side by side
     forward, inverse = matrices.fourier(nx, modes)
     local = p.stack("local", [layer["weight"].T for layer in linear], nx)
-    bias = p.stack("bias", [layer["bias"] for layer in linear])
-    pair = 2 * width  # the real and the imaginary part of R, side by side
+    biases = p.stack("bias", [layer["bias"] for layer in linear])
     by_mode = p.stack("matrix", [mode for R in spectral for mode in R], 2)
     matrix = replace(by_mode, turn=width * pair, layer=modes * width * pair)
     v_hat, y_hat = p.buffer("v_hat", 2 * modes, width), p.buffer("y_hat", 2 * modes, width)
     pairs, out = p.buffer("pairs", 2 * modes, pair), p.buffer("sums", nx, width)
     modal = replace(pairs, turn=2 * pair), replace(v_hat, turn=pair), matrix
-    return (
-        Product(out, v, local, (nx, width, width), bias),
+    layer = (
+        Product(out, v, local, (nx, width, width), biases),
         Product(v_hat, p.constant("forward", forward), v, (2 * modes, nx, width)),
         Product(*modal, (2, width, pair), repeats=modes),
         Recombine("y_hat", "pairs", modes, width),
         Product(out, p.constant("inverse", inverse), y_hat, (nx, 2 * modes, width), adds=True),
-        Silu(v.name, out.name, nx * width),
+        Silu("waves", "sums", nx * width),
     )
+    # N (n, nx) = last(silu(first(v)))
+    first, last = weights.layers("network.project")
+    size = len(first["weight"])
+    hidden, hidden_bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
+    project = p.weights("project", first["weight"].T, nx)
+    p.operations += [
+        Repeat(len(linear), layer),
+        Product(hidden, v, project, (nx, width, size), hidden_bias),
+        Silu("hidden", "hidden", size * nx),
+        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, n)),
+    ]
+    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
+        p.twice = True
+        p.buffer("N_rest", 1, n * nx)
+    elif weights.anchor == "equilibrium":
+        p.series = _at_rest(p, weights)
 
 
 def _spectral(weights: Weights) -> list[np.ndarray]:
@@ -85,25 +95,27 @@ def _spectral(weights: Weights) -> list[np.ndarray]:
     return [np.concatenate([R["real"], R["imag"]], axis=-1) for R in weights.layers("network.spectral")]
 
 
-def _project(p: Program, weights: Weights, v: Matrix) -> tuple[Operation, ...]:
-    """N (n, nx) = last(silu(first(v)))."""
-    first, last = weights.layers("network.project")
-    (size, width), nx = first["weight"].shape, p.nodes
-    hidden, bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
-    return (
-        Product(hidden, v, p.weights("project", first["weight"].T, nx), (nx, width, size), bias),
-        Silu("hidden", "hidden", size * nx),
-        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, p.n)),
-    )
-
-
 def _at_rest(p: Program, weights: Weights) -> Series:
     """N(x; X*, u*, D_hat) as a Chebyshev series in D_hat, from double precision, to rounding."""
     mean, std = (float(weights[f"scaling.D_hat_{part}"]) for part in ("mean", "std"))
     low, high = max(0.0, mean - SPREAD * std), mean + SPREAD * std
     points = np.polynomial.chebyshev.chebpts1(TERMS)
-    D_hat = low + (high - low) * (points + 1) / 2
-    values = _velocity_at_rest(p, weights, (D_hat - mean) / std)  # (TERMS, nodes, n)
+    D_hat = (low + (high - low) * (points + 1) / 2 - mean) / std
+    # the same computation as the program, for all of them: v (TERMS, nodes, width)
+    lift, nx, linear = weights["network.lift.weight"], p.nodes, weights.layers("network.local")
+    rest = np.concatenate([p.z_zero, np.zeros(1), p.v_zero, np.zeros(1)])  # the mean of a constant u is that constant
+    constant = lift @ rest + weights["network.lift.bias"]
+    v = constant + D_hat[:, None, None] * lift[:, p.n] + (2 * grid.nodes(nx)[:, None] - 1) * lift[:, -1]
+    spectral = _spectral(weights)
+    forward, inverse = matrices.fourier(nx, len(spectral[0]))
+    for layer, R in zip(linear, spectral, strict=True):
+        v_hat = product(forward, v).reshape(TERMS, len(R), 2, -1)  # (TERMS, modes, Re and Im, width)
+        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # (TERMS, modes, 2 width)
+        width = v.shape[-1]
+        y_hat = real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]
+        y_hat = np.stack(y_hat, axis=2).reshape(TERMS, 2 * len(R), width)
+        v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
+    values = mlp(weights.layers("network.project"), v)  # (TERMS, nodes, n)
     polynomials = np.polynomial.chebyshev.chebvander(points, TERMS - 1)  # orthogonal over these points
     series = product(polynomials.T, values.transpose(0, 2, 1).reshape(TERMS, -1)) * 2 / TERMS
     series[0] /= 2
@@ -112,23 +124,3 @@ def _at_rest(p: Program, weights: Weights) -> Series:
     T, N_rest = p.buffer("T", 1, terms), p.buffer("N_rest", 1, p.n * p.nodes)
     operation = Product(N_rest, T, p.weights("series", series[:terms], 1), (1, terms, p.n * p.nodes))
     return Series(low, high, terms, operation)
-
-
-def _velocity_at_rest(p: Program, weights: Weights, D_hat: np.ndarray) -> np.ndarray:
-    """N(x; X*, u*, D_hat) (B, nodes, n) for scaled D_hat (B,): what the program computes, in double precision."""
-    lift, nx, linear = weights["network.lift.weight"], p.nodes, weights.layers("network.local")
-    rest = np.concatenate([p.z_zero, np.zeros(1), p.v_zero, np.zeros(1)])  # the mean of a constant u is that constant
-    constant = lift @ rest + weights["network.lift.bias"]
-    v = constant + D_hat[:, None, None] * lift[:, p.n] + (2 * grid.nodes(nx)[:, None] - 1) * lift[:, -1]
-    spectral = _spectral(weights)
-    forward, inverse = matrices.fourier(nx, len(spectral[0]))
-    for layer, R in zip(linear, spectral, strict=True):
-        v_hat = product(forward, v).reshape(len(D_hat), len(R), 2, -1)  # (B, modes, Re and Im, width)
-        real, imaginary = np.moveaxis(np.einsum("bmpi,mij->bmpj", v_hat, R), 2, 0)  # of v, (B, modes, 2 width)
-        width = v.shape[-1]
-        y_hat = np.stack(
-            [real[..., :width] - imaginary[..., width:], real[..., width:] + imaginary[..., :width]], axis=2
-        )
-        y_hat = y_hat.reshape(len(D_hat), 2 * len(R), width)
-        v = silu(product(inverse, y_hat) + (product(v, layer["weight"].T) + layer["bias"]))
-    return mlp(weights.layers("network.project"), v)

@@ -4,7 +4,7 @@ The scalings and the anchor are lowered here, each network in another file.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cached_property
 from importlib import import_module
 from typing import Any
@@ -17,7 +17,7 @@ from npred.base.registry import NETWORKS, RUNTIMES
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.networks.program import Matrix, Program
-from npred.networks.weights import TrainedOperator, Weights
+from npred.networks.weights import TrainedOperator
 from npred.plants.base import Plant
 from npred.prediction.delays import family, problem_of
 from npred.prediction.methods.base import Compiled, Predictor
@@ -30,7 +30,7 @@ EXP2 = {
 }
 EXPM1 = {kind: [1 / math.factorial(k + 1) for k in range(terms)] for kind, terms in ((np.float32, 7), (np.float64, 13))}
 KINDS = {np.dtype(np.float32): "float", np.dtype(np.float64): "double"}
-RENAMED = {"N": "N_"}  # of the buffers, beside the macro N
+RENAMED = {"N": "N_"}  # buffers whose names are macros
 
 
 class Fused(Compiled):
@@ -113,13 +113,13 @@ def coarsest(nx: int) -> int:
 def lowering(operator: TrainedOperator) -> str:
     """The module that lowers the operator's network, empty where there is none."""
     entry = NETWORKS.builtin.get(operator.architecture)
-    return entry.lowering if entry else ""
+    return entry.fused if entry else ""
 
 
 def require(operator: TrainedOperator, what: str, cure: str, name: str = "") -> None:
     """Raise ConfigError, after `what` needs it, unless the operator's network can be lowered; `name`: its own."""
     if not lowering(operator):
-        names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.lowering)
+        names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.fused)
         name = name or operator.architecture
         raise ConfigError(f"{what}: expected a network that can be lowered ({names}), got {name}; {cure}")
 
@@ -140,7 +140,18 @@ def fold(
     rows = 2 if network.PAIRED and weights.anchor == "equilibrium" else 1
     period = plant.period if plant.phased else None
     p = Program(plant.n, plant.m, nx, rows, stride if network.STRIDED else 1, period, precision=precision)
-    _inputs(p, weights)
+    # z and v are zero at rest, or at the mean of the data
+    rests = weights.anchor == "equilibrium"
+    X_bend, X_mean, X_std = (weights[f"scaling.X_{part}"] for part in ("bend", "mean", "std"))
+    u_mean, u_std = weights["scaling.u_mean"], weights["scaling.u_std"]
+    X_zero = np.arcsinh(weights["X_rest"] / X_bend) if rests else X_mean
+    u_zero = weights["u_rest"] if rests else u_mean
+    scales = {"X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std}
+    scales |= {"D_hat_zero": weights["scaling.D_hat_mean"], "D_hat_gain": 1 / weights["scaling.D_hat_std"]}
+    for name, values in scales.items():
+        p.scale(name, values)
+    p.scale("halves", 0.5 / np.maximum(np.arange(nx), 1))  # 0.5 / j: a division costs more than a number read
+    p.z_zero, p.v_zero = (X_zero - X_mean) / X_std, (u_zero - u_mean) / u_std
     network.append(p, weights)
     if p.stride > 1:
         p.buffer("N_fine", plant.n, nx)
@@ -156,21 +167,6 @@ def fold(
     return p
 
 
-def _inputs(p: Program, weights: Weights) -> None:
-    """The scaling of the inputs; z and v are zero at rest, or at the mean of the data."""
-    rests = weights.anchor == "equilibrium"
-    X_bend, X_mean, X_std = (weights[f"scaling.X_{part}"] for part in ("bend", "mean", "std"))
-    u_mean, u_std = weights["scaling.u_mean"], weights["scaling.u_std"]
-    X_zero = np.arcsinh(weights["X_rest"] / X_bend) if rests else X_mean
-    u_zero = weights["u_rest"] if rests else u_mean
-    scales = {"X_bend": 1 / X_bend, "X_zero": X_zero, "X_gain": 1 / X_std, "u_zero": u_zero, "u_gain": 1 / u_std}
-    scales |= {"D_hat_zero": weights["scaling.D_hat_mean"], "D_hat_gain": 1 / weights["scaling.D_hat_std"]}
-    for name, values in scales.items():
-        p.scale(name, values)
-    p.scale("halves", 0.5 / np.maximum(np.arange(p.nx), 1))  # 0.5 / j: a division costs more than a number read
-    p.z_zero, p.v_zero = (X_zero - X_mean) / X_std, (u_zero - u_mean) / u_std
-
-
 def kernel(p: Program) -> Kernel:
     """PREDICT by a program, for p.nx nodes and any number of lanes: operations are calls on constants and buffers."""
     functions = {"operations": p.operations} | ({"series": [p.series.product]} if p.series else {})
@@ -180,29 +176,20 @@ def kernel(p: Program) -> Kernel:
         lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
         texts.append(f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n")
     constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
-    doubles = sum(p.buffers.values()) + p.nx  # of memory, for numbers of either precision
+    doubles = sum(p.buffers.values()) + p.nx  # scratch memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
-    return made("fused", family.PREDICT, body, {}, _sizes(p), work=lambda nx, lanes, _: doubles, loose=True)
-
-
-def _sizes(p: Program) -> dict[str, int | str]:
-    """The macros of the skeletons."""
-    numbers = np.finfo(p.precision)
+    numbers, kind = np.finfo(p.precision), KINDS[np.dtype(p.precision)]
+    exp2, expm1 = (f"{{{', '.join(literal(c, kind) for c in of[p.precision])}}}" for of in (EXP2, EXPM1))
     sizes: dict[str, int | str] = {
         "N": p.n, "M": p.m, "NX": p.nx, "NODES": p.nodes, "STRIDE": p.stride, "SEEN": p.seen, "COLUMNS": p.columns,
-        "REAL": KINDS[np.dtype(p.precision)], "INTEGER": f"int{numbers.bits}_t", "UNSIGNED": f"uint{numbers.bits}_t",
-        "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1, "EXP2": _braces(EXP2[p.precision], p),
-        "EXPM1": _braces(EXPM1[p.precision], p), "PHASED": int(bool(p.period)), "PERIOD": repr(p.period or 1.0),
-        "PAIRED": int(p.rows == 2), "TWICE": int(p.twice), "SERIES_TERMS": p.series.terms if p.series else 0,
-        "BASED": int("base" in p.constants),
+        "REAL": kind, "INTEGER": f"int{numbers.bits}_t", "UNSIGNED": f"uint{numbers.bits}_t",
+        "MANTISSA": numbers.nmant, "EXPONENT": numbers.maxexp - 1, "EXP2": exp2, "EXPM1": expm1,
+        "PHASED": int(bool(p.period)), "PERIOD": repr(p.period or 1.0), "PAIRED": int(p.rows == 2),
+        "TWICE": int(p.twice), "SERIES_TERMS": p.series.terms if p.series else 0, "BASED": int("base" in p.constants),
     }  # fmt: skip
     if p.series:
         sizes |= {"SERIES_LOW": repr(p.series.low), "SERIES_SCALE": repr(2 / (p.series.high - p.series.low))}
-    return sizes
-
-
-def _braces(values: Iterable[float], p: Program) -> str:
-    return "{" + ", ".join(literal(value, KINDS[np.dtype(p.precision)]) for value in values) + "}"
+    return made("fused", family.PREDICT, body, {}, sizes, work=lambda nx, lanes, _: doubles, loose=True)
 
 
 def _view(p: Program) -> Callable[[Matrix | None], str]:

@@ -1,4 +1,4 @@
-"""What the networks know of a grid, as NumPy matrices: features of u, and the transforms of an FNO."""
+"""The grid of a network as NumPy matrices: features of u, and the transforms of an FNO."""
 
 import numpy as np
 

@@ -5,11 +5,28 @@ All that does not depend on the sample is folded into constants here: the grid's
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
-Layers = Sequence[Mapping[str, np.ndarray]]  # of a network: the weight (out, in) and the bias (out,) of each
+Layers = Sequence[Mapping[str, np.ndarray]]  # the weight (out, in) and the bias (out,) of each layer
+
+
+Shapes = dict[str, tuple[int, ...]]  # the shape of each array in a file of weights
+
+
+def linear_shapes(name: str, fan_in: int, fan_out: int, bias: bool = True) -> Shapes:
+    """A linear layer."""
+    return {f"{name}.weight": (fan_out, fan_in)} | ({f"{name}.bias": (fan_out,)} if bias else {})
+
+
+def mlp_shapes(name: str, sizes: list[int], bias: bool = True) -> Shapes:
+    """Linear layers of these sizes, an activation between them; `bias` is that of the last."""
+    shapes, last = {}, len(sizes) - 2
+    for k, (fan_in, fan_out) in enumerate(pairwise(sizes)):
+        shapes |= linear_shapes(f"{name}.{2 * k}", fan_in, fan_out, bias or k < last)
+    return shapes
 
 
 def silu(a: np.ndarray) -> np.ndarray:
@@ -48,7 +65,7 @@ class Matrix:
 
 
 TILES = {1: 8, 2: 6, 3: 4}  # vectors of the widest tile of a product with one row, two, or more: kernels/c/network.h
-TILE_BYTES = 32  # of a vector; on processors with shorter ones it is several
+TILE_BYTES = 32  # size of a vector; on processors with shorter ones it is several
 View = Callable[["Matrix | None"], str]  # the C of a matrix: see npred.networks.fused
 
 
@@ -179,9 +196,9 @@ class Program:
     nx: int
     rows: int = 1
     stride: int = 1
-    period: float | None = None  # of the plant's time, in seconds, where the network sees it
+    period: float | None = None  # period of the plant's time, in seconds, where the network sees it
     twice: bool = False
-    precision: type[np.floating] = np.float32  # of the constants and buffers
+    precision: type[np.floating] = np.float32  # type of the constants and buffers
     series: Series | None = None
     constants: dict[str, np.ndarray] = field(default_factory=dict)
     buffers: dict[str, int] = field(default_factory=dict)

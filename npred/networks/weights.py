@@ -1,19 +1,19 @@
-"""A trained operator as its files have it, read without torch: arrays by name, and its table. Nothing is unpickled."""
+"""A trained operator and its files, without torch: arrays by name, and the table of its network."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, Self
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load_file
+from safetensors.numpy import load_file, save_file
 
-from npred.base import json_files, registry
+from npred.base import json_files
 from npred.base.errors import ConfigError, StoreError, first_line, imported
 from npred.base.registry import NETWORKS, in_file
-from npred.networks import layouts
 from npred.networks.domain import Domain
 from npred.plants.base import Plant
 
@@ -22,7 +22,7 @@ LARGEST = 2**53  # of anything that is counted
 
 
 class NetworkTable(Protocol):
-    """What a network is built from: its name in the registry, its anchor, the keyword arguments of its class."""
+    """The arguments of a network: its name in the registry, its anchor, the keyword arguments of its class."""
 
     @property
     def architecture(self) -> str: ...
@@ -43,8 +43,10 @@ class SavedTable(NamedTuple):
 class TrainedOperator(Protocol):
     """A trained operator: Weights, or the torch module."""
 
-    domain: Any
-
+    @property
+    def architecture(self) -> str: ...
+    @property
+    def domain(self) -> Domain | None: ...
     def weights(self) -> "Weights": ...
     def module(self, plant: Plant) -> Any: ...
     def double(self) -> Any: ...
@@ -52,9 +54,9 @@ class TrainedOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """A trained operator of a network with a fused form: the parameters and buffers of the torch module.
+    """A trained operator: the parameters and buffers of the torch module, and the table that it is built from.
 
-    All arrays have one precision, float32 or float64. `table` is what a torch module is built from.
+    All floats have one precision, float32 or float64.
     """
 
     architecture: str
@@ -84,35 +86,38 @@ class Weights:
         return [layers[number] for number in sorted(layers)]
 
     def double(self) -> Self:
-        return replace(self, arrays={name: array.astype(np.float64) for name, array in self.arrays.items()})
+        floats = {name: array.astype(np.float64) for name, array in self.arrays.items() if array.dtype.kind == "f"}
+        return replace(self, arrays={**self.arrays, **floats})
 
     def exact(self, plant: Plant) -> Self:
         """In double precision, the point of rest the plant's own, of which the file has the nearest float32."""
-        rest = zip(("X_rest", "u_rest"), plant.rest, strict=True) if plant.rest else ()
-        arrays = {name: array.astype(np.float64) for name, array in {**self.arrays, **dict(rest)}.items()}
-        return replace(self, arrays=arrays)
+        rest = dict(zip(("X_rest", "u_rest"), plant.rest, strict=True)) if plant.rest else {}
+        return replace(self, arrays={**self.arrays, **rest}).double()
+
+    def save(self, path: Path) -> None:
+        """Write every array, the scaling and the point of rest among them."""
+        save_file(dict(self.arrays), path)
 
 
-def weights(snapshot: int | None = None) -> str:
+def file_of(snapshot: int | None = None) -> str:
     """The name of the file that holds the final weights, or those after `snapshot` epochs."""
     return "model.safetensors" if snapshot is None else f"snapshot-{snapshot}.safetensors"
 
 
-def describe(folder: Path) -> dict[str, Any]:
-    """The saved model.json: `model`, `config` and `plant`. Raises StoreError where it is missing or no such object."""
-    path = folder / MANIFEST
-    try:
-        return json_files.table(path)
-    except (OSError, ValueError) as error:
-        raise StoreError(f"{path}: expected a saved model, got: {error}; train it again") from None
+def save(folder: Path, operator: TrainedOperator, table: NetworkTable, config: Mapping[str, Any]) -> None:
+    """Write model.safetensors, the operator's domain, and model.json: the network's table, and its training's."""
+    manifest = {"model": table.architecture, "anchor": table.anchor, "arguments": table.arguments, "config": config}
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    operator.weights().save(folder / file_of())
+    if operator.domain:
+        operator.domain.save(folder)
 
 
 def read(
     folder: Path, plant: Plant, snapshot: int | None = None, precision: Any = np.float32,
     table: NetworkTable | None = None,
-) -> TrainedOperator:  # fmt: skip
-    """The saved operator as it ended, or as it stood after `snapshot` epochs: a torch module where it has no fused
-    form.
+) -> Weights:  # fmt: skip
+    """The saved operator as it ended, or as it stood after `snapshot` epochs. Nothing is unpickled.
 
     `table`: the pipeline's table of the network, without which the saved one is taken. A network of a file is code:
     only a pipeline may name it, and the saved table alone is refused.
@@ -120,24 +125,31 @@ def read(
     In float64 the weights are the same and the point of rest is the plant's: the anchor, and with it the end of a
     closed loop, is exact to float64's rounding. In float32 loops end about 2e-6 away.
     Raises StoreError for a file that is missing or broken, ConfigError for a plant that the anchor does not fit,
-    MissingError where the network needs torch and there is none.
+    MissingError for a network without a fused form where there is no torch.
     """
-    table, path = table or _table(folder), folder / weights(snapshot)
+    table, path = table or _table(folder), folder / file_of(snapshot)
     check_anchor(table.anchor, plant)
-    domain, entry = Domain.load(folder), NETWORKS.builtin.get(table.architecture)
-    if entry is None:
-        files = imported(f"network {table.architecture}", "npred.lab.training.operators.io")
-        return files.read(path, plant, precision, table, domain)
-    with broken(path):
+    torch = None
+    if table.architecture not in NETWORKS.builtin:
+        torch = imported(f"network {table.architecture}", "npred.lab.training.operators.base")
+    try:
         arrays = load_file(path)
-        layers = max(table.arguments.get(key, 0) for key in ("layers", "depth"))
-        if layers > len(arrays):  # else a file of a few bytes could ask for any number of them
-            raise ValueError(f"{len(arrays)} tensors for {layers} layers")
-        check(
-            {name: (shape, "float32") for name, shape in _shapes(table, plant).items()},
-            {name: (array.shape, array.dtype.name) for name, array in arrays.items()},
-        )
-    as_saved = Weights(table.architecture, table.anchor, arrays, domain, table)
+        got = {name: (array.shape, array.dtype.name) for name, array in arrays.items()}
+        if torch:
+            expected = torch.kinds(table, plant)
+        else:
+            layers = max(table.arguments.get(key, 0) for key in ("layers", "depth"))
+            if layers > len(arrays):  # else a file of a few bytes could ask for any number of them
+                raise ValueError(f"{len(arrays)} tensors for {layers} layers")
+            expected = {name: (shape, "float32") for name, shape in shapes(table, plant).items()}
+        for name in sorted(expected.keys() | got.keys()):
+            if expected.get(name) != got.get(name):
+                raise ValueError(f"{name}: expected {expected.get(name)}, got {got.get(name)}")
+    except (OSError, SafetensorError, RuntimeError, ValueError, TypeError, OverflowError) as error:
+        kept = ", ".join(sorted(p.name for p in folder.glob("*.safetensors"))) or "none"
+        came = f"{first_line(error)}; files there: {kept}"
+        raise StoreError(f"{path}: expected weights of this model, got: {came}") from None
+    as_saved = Weights(table.architecture, table.anchor, arrays, Domain.load(folder), table)
     return as_saved if precision == np.float32 else as_saved.exact(plant)
 
 
@@ -146,19 +158,22 @@ def untrained(table: NetworkTable, plant: Plant, rng: np.random.Generator) -> We
     anchor = table.anchor if plant.rest else "initial"
     arrays = {
         name: rng.standard_normal(shape, dtype=np.float32) / np.float32(max(shape[-1:], default=1)) ** 0.5
-        for name, shape in _shapes(table, plant).items()
+        for name, shape in shapes(table, plant).items()
     }
     ones = {name: np.ones_like(array) for name, array in arrays.items() if name.startswith("scaling.")}
     return Weights(table.architecture, anchor, arrays | ones, None, table)
 
 
-def _shapes(table: NetworkTable, plant: Plant) -> layouts.Shapes:
+def shapes(table: NetworkTable, plant: Plant) -> dict[str, tuple[int, ...]]:
     """The shape of each array of a network with a fused form."""
-    layout = registry.attribute(NETWORKS.builtin[table.architecture].layout)
-    network = layout(plant.n, plant.m, 2 if plant.phased else 0, **table.arguments)
-    shapes = {f"network.{name}": shape for name, shape in network.items()}
-    shapes |= {f"scaling.{name}": shape for name, shape in layouts.scaling(plant.n, plant.m).items()}
-    return shapes | {"X_rest": (plant.n,), "u_rest": (plant.m,)}
+    n, m = plant.n, plant.m
+    network = import_module(NETWORKS.builtin[table.architecture].fused)
+    arrays = network.shapes(n, m, 2 if plant.phased else 0, **table.arguments)
+    named = {f"network.{name}": shape for name, shape in arrays.items()}
+    for name, shape in {"X": (n,), "u": (m,), "D_hat": (), "P": (n,)}.items():
+        named |= {f"scaling.{name}_mean": shape, f"scaling.{name}_std": shape}
+    named |= {"scaling.X_bend": (n,), "scaling.speed": (n,)}
+    return named | {"X_rest": (n,), "u_rest": (m,)}
 
 
 def check_anchor(anchor: str, plant: Plant) -> None:
@@ -167,35 +182,17 @@ def check_anchor(anchor: str, plant: Plant) -> None:
         raise ConfigError(f"anchor: expected a plant with an equilibrium, {plant.name} has none; use 'initial'")
 
 
-@contextmanager
-def broken(path: Path) -> Iterator[None]:
-    """What a file of weights fails with as a StoreError in one line."""
-    try:
-        yield
-    except (OSError, SafetensorError, RuntimeError, ValueError, TypeError, OverflowError) as error:
-        kept = ", ".join(sorted(p.name for p in path.parent.glob("*.safetensors"))) or "none"
-        raise StoreError(
-            f"{path}: expected weights of this model, got: {first_line(error)}; files there: {kept}"
-        ) from None
-
-
-def check(expected: Mapping[str, Any], kinds: Mapping[str, Any]) -> None:
-    """Raise ValueError unless the names are the same, and for each name the shape and the type."""
-    for name in sorted(expected.keys() | kinds.keys()):
-        if expected.get(name) != kinds.get(name):
-            raise ValueError(f"{name}: expected {expected.get(name)}, got {kinds.get(name)}")
-
-
 def _table(folder: Path) -> SavedTable:
-    manifest = describe(folder)
+    """The saved table of the network. Raises StoreError where it is missing, broken, or of no known network."""
     try:
+        manifest = json_files.table(folder / MANIFEST)
         table = SavedTable(str(manifest["model"]), str(manifest["anchor"]), dict(manifest["arguments"]))
         if not in_file(table.architecture) and table.architecture not in NETWORKS.names():
             raise ValueError(table.architecture)
         for name, value in table.arguments.items():
             if isinstance(value, int) and not 0 <= value <= LARGEST:
                 raise ValueError(f"{value} as {name}")
-    except (KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
         raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None
     if in_file(table.architecture):

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import reproduced
-import torch
 
 from npred.lab.report.terminal.console import Console
-from npred.lab.training.operators import load
+from npred.networks.weights import read
 from npred_experiments import learning, network_loop
 from npred_experiments.experiment import Place
 from npred_experiments.experiment import load as load_experiment
@@ -83,14 +82,14 @@ def test_all_networks_of_a_loop_begin_with_the_same_data():
 def test_the_network_is_saved_and_answers_as_it_did(trained):
     folder, metrics, (row,) = trained
     loop = reproduced.small_loop()
-    operator = load(folder / "as_meant", loop.plant(), dtype=torch.float64)
+    operator = read(folder / "as_meant", loop.plant(), precision=np.float64).module(loop.plant())
     assert loop.measure(learning.answers(loop, operator)) == pytest.approx(metrics["as meant"], abs=1e-9)
     assert (row.epochs, row.samples, row.parameters) == (3, 360, sum(p.numel() for p in operator.parameters()))
 
 
 def test_an_end_that_is_read_alone_is_the_same_end(trained):
     loop = reproduced.small_loop()
-    operator = load(trained[0] / "as_meant", loop.plant(), dtype=torch.float64)
+    operator = read(trained[0] / "as_meant", loop.plant(), precision=np.float64).module(loop.plant())
     X, u, D = np.array([[0.3]]), np.full((1, 21, 1), 0.1), np.array([0.5])
     whole = learning.answers(loop, operator)(X, u, D, 0.0)
     fewer = learning.answers(replace(loop, nodes=5, reads_end=True), operator)(X, u, D, 0.0)

@@ -19,8 +19,8 @@ from npred.lab.config.conditions import starts
 from npred.lab.scheduler import pipeline_fit
 from npred.lab.scheduler.models import load_model
 from npred.lab.scheduler.plan import Node
-from npred.lab.training import operators
 from npred.networks.fused import Fused
+from npred.networks.weights import read
 from npred.prediction.methods import RK4
 
 CART = """
@@ -145,7 +145,7 @@ def test_a_network_with_a_filter_in_c_is_that_of_python(export, evaluated, tmp_p
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
     in_c = c_controllers.InC(ctypes.CDLL(str(tmp_path / "npred.so")), plant)
     stored = load_model(f"{folder / 'cart.toml'}:deeponet", folder / "store")
-    operator = operators.read(stored.folder, plant, None, np.float64, stored.config)
+    operator = read(stored.folder, plant, None, np.float64, stored.config)
     predictor = Fused(plant, operator, 11, precision=np.float64)
     if "--guard" in flags:
         predictor = npred.guarded(predictor, 0.1, exact=RK4(plant, 11))

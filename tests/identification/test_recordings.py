@@ -99,7 +99,7 @@ def test_a_package_brings_a_format(package, tmp_path):
         "    def series(self, names, time, unit):\n"
         "        return {name: TimeSeries(np.arange(2.0), np.ones(2)) for name in names}\n"
     )
-    package("abc = shed_of_tanks:Log", text, group="npred.identification.recordings")
+    package("abc = shed_of_tanks:Log", text, group="npred.recordings")
     (tmp_path / "log.abc").write_bytes(b"")
     assert recordings.columns(tmp_path / "log.abc") == ["q"]
     assert recordings.read(tmp_path / "log.abc", ["q"])["q"].values.tolist() == [1, 1]

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from npred.kernels.callback import Failure, callback
-from npred.kernels.kernel import Shape, address
+from npred.kernels.kernel import Failure, Shape, address, callback
 
 
 def called(function):

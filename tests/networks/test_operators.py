@@ -1,7 +1,9 @@
 """Every operator: anchors exact, any grid, a gradient in every parameter, files that read back to the bit."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from operator_samples import EVERY, NETWORKS, PLANT, SMALL, operator, samples, several_inputs, tensors
@@ -9,9 +11,9 @@ from operator_samples import EVERY, NETWORKS, PLANT, SMALL, operator, samples, s
 from npred.base.errors import ConfigError, StoreError
 from npred.base.registry import short_name
 from npred.lab.config import DeepONet, Training
-from npred.lab.training.operators import Scaling, build, describe, load, save
+from npred.lab.training.operators import Scaling, build, save
 from npred.lab.training.operators.base import chebyshev
-from npred.lab.training.operators.io import save_weights
+from npred.networks.weights import read
 
 ANCHORS = pytest.mark.parametrize("anchor", ["none", "initial", "equilibrium"])
 
@@ -142,19 +144,19 @@ def test_saved_model_reads_back_to_the_bit(config, tmp_path):
     save(tmp_path, model, config)
     inputs = tensors(samples())
     with torch.no_grad():
-        assert torch.equal(load(tmp_path, PLANT, config=config)(*inputs), model(*inputs))
-    manifest = describe(tmp_path)
+        assert torch.equal(read(tmp_path, PLANT, table=config).module(PLANT)(*inputs), model(*inputs))
+    manifest = json.loads((tmp_path / "model.json").read_text())
     assert manifest["config"] == config.map_paths(lambda path: Path(path).name).model_dump(mode="json")
 
 
 def test_snapshot_has_its_own_weights(tmp_path):
     save(tmp_path, operator(SMALL[0], seed=1), SMALL[0])
     early = operator(SMALL[0], seed=2)
-    save_weights(tmp_path / "snapshot-7.safetensors", early)
+    early.weights().save(tmp_path / "snapshot-7.safetensors")
     inputs = tensors(samples())
     with torch.no_grad():
-        assert torch.equal(load(tmp_path, PLANT, snapshot=7)(*inputs), early(*inputs))
-        assert not torch.equal(load(tmp_path, PLANT)(*inputs), early(*inputs))
+        assert torch.equal(read(tmp_path, PLANT, snapshot=7).module(PLANT)(*inputs), early(*inputs))
+        assert not torch.equal(read(tmp_path, PLANT).module(PLANT)(*inputs), early(*inputs))
 
 
 @NETWORKS
@@ -162,7 +164,7 @@ def test_snapshot_has_its_own_weights(tmp_path):
 def test_in_double_precision_it_rests_at_the_plants_own_equilibrium(config, tmp_path):
     model = operator(config, seed=3)
     save(tmp_path, model, config)
-    double = load(tmp_path, PLANT, dtype=torch.float64, config=config)
+    double = read(tmp_path, PLANT, precision=np.float64, table=config).module(PLANT)
     rest = torch.tensor(PLANT.equilibrium)[None], torch.tensor(PLANT.u_equilibrium).expand(1, 21, 1)
     P_hat = double(*rest, torch.tensor([1.3], dtype=torch.float64))
     assert torch.equal(P_hat, rest[0].expand(1, 21, 2))
@@ -173,24 +175,24 @@ def test_in_double_precision_it_rests_at_the_plants_own_equilibrium(config, tmp_
 def test_missing_snapshot_names_the_file_and_what_is_there(tmp_path):
     save(tmp_path, operator(SMALL[0]), SMALL[0])
     with pytest.raises(StoreError, match=r"snapshot-9\.safetensors: expected .*; files there: model\.safetensors$"):
-        load(tmp_path, PLANT, snapshot=9)
+        read(tmp_path, PLANT, snapshot=9)
 
 
 def test_weights_of_another_network_are_refused_in_one_line(tmp_path):
     save(tmp_path, operator(SMALL[0]), SMALL[0])
-    save_weights(tmp_path / "model.safetensors", operator(SMALL[1]))
+    operator(SMALL[1]).weights().save(tmp_path / "model.safetensors")
     with pytest.raises(StoreError, match=r"^[^\n]*model\.safetensors: expected weights of this model[^\n]*$"):
-        load(tmp_path, PLANT)
+        read(tmp_path, PLANT)
 
 
 def test_broken_files_are_refused(tmp_path):
-    with pytest.raises(StoreError, match=r"model\.json: expected a saved model"):
-        load(tmp_path, PLANT)
+    with pytest.raises(StoreError, match=r"model\.json: expected a network"):
+        read(tmp_path, PLANT)
     save(tmp_path, operator(SMALL[0]), SMALL[0])
     weights = tmp_path / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:-20])
     with pytest.raises(StoreError, match=r"model\.safetensors: expected weights"):
-        load(tmp_path, PLANT)
+        read(tmp_path, PLANT)
 
 
 def test_equilibrium_anchor_needs_an_equilibrium():

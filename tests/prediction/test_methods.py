@@ -130,7 +130,7 @@ def test_the_times_of_a_bench_are_of_the_baselines_as_their_files_are(tmp_path: 
 
 
 def test_a_method_of_a_package_has_a_name(package):
-    package("ralston = shed_of_tanks:Ralston", RALSTON, "npred.prediction.methods")
+    package("ralston = shed_of_tanks:Ralston", RALSTON, "npred.predictors")
     x = grid.nodes(21)[:, None]
     P = npred.predictor("ralston", PLANT, 21)([1.0], x, 0.5)
     np.testing.assert_allclose(P, npred.predictor("heun", PLANT, 21)([1.0], x, 0.5), atol=1e-4)

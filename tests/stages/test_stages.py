@@ -10,7 +10,6 @@ import follower
 import h5py
 import numpy as np
 import pytest
-import torch
 from conftest import HERE
 from jobs import job, tables, trained
 
@@ -23,12 +22,12 @@ from npred.lab.stages.bench import bench, timing_tables
 from npred.lab.stages.evaluate import accuracy, behaviour, coverage, evaluate
 from npred.lab.stages.generate import generate
 from npred.lab.stages.train import train
-from npred.lab.training import operators
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset
 from npred.lab.training.neural import Neural
 from npred.loop import metrics
 from npred.loop.closed_loop import Samples, Trajectories
+from npred.networks.weights import read
 from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("activator_repressor")
@@ -75,7 +74,7 @@ def test_numerical_is_exact_and_adapts(evaluated):
 def test_errors_of_a_network_are_those_of_its_predictions(evaluated, made):
     _, result = evaluated
     test = Dataset.read(made["generate"] / "data.h5").subset(test=True)
-    P_hat = Neural(PLANT, operators.load(made["fno"], PLANT, dtype=torch.float64))(test.X, test.u, test.D_hat)
+    P_hat = Neural(PLANT, read(made["fno"], PLANT, precision=np.float64).module(PLANT))(test.X, test.u, test.D_hat)
     row = result["models"]["fno"]
     assert row["mse"] == pytest.approx(np.mean((P_hat - test.P) ** 2), rel=1e-9)
     assert row["radius"]["predicted"] == pytest.approx(metrics.gain(PLANT) * row["eps_kappa"])

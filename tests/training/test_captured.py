@@ -23,7 +23,7 @@ from npred.lab.config import Training
 from npred.lab.training import captured, soap, training_loop
 from npred.lab.training.captured import CapturedStep, NotCapturable, OnDevice
 from npred.lab.training.checkpoint import Metrics
-from npred.lab.training.loss import criterion, weights
+from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.operators import Operator
 from npred.lab.training.rows import Fit, Rows
 
@@ -35,7 +35,7 @@ def task(config: Training, seed: int = 0, dtype: torch.dtype = torch.float64, **
     config = config.model_copy(update=CHANGES | changes)
     train, test = Rows.of(samples(40, seed=2 * seed), nodes=11), Rows.of(samples(10, seed=2 * seed + 1))
     train, test = (Rows(*(a.to(dtype) for a in rows.columns)) for rows in (train, test))
-    loss = criterion(config.rows, weights(config, PLANT, train.P))
+    loss = Criterion(config.rows, weights(config, PLANT, train.P))
     return Fit("train tiny", operator(config, seed).to(dtype), config, train, test, loss, seed=11 + seed)
 
 

@@ -6,26 +6,26 @@ from operator_samples import PLANT
 
 from npred import plants
 from npred.lab.config import DeepONet
-from npred.lab.training.loss import SHARE, criterion, sensitivity, weights
+from npred.lab.training.loss import SHARE, Criterion, sensitivity, weights
 
 P = torch.tensor([[[0.0, 10.0], [0.2, 10.0]], [[0.0, 14.0], [0.2, 14.0]]])
 
 
 def test_raw_loss_by_hand():
     P_hat = torch.tensor([[[0.0, 11.0], [0.5, 10.0]], [[0.0, 12.0], [0.2, 14.0]]])
-    loss = criterion("square", weights(DeepONet(loss="raw"), PLANT, P))
+    loss = Criterion("square", weights(DeepONet(loss="raw"), PLANT, P))
     torch.testing.assert_close(loss(P_hat, P), torch.tensor((1 + 0.09 + 4) / 8))
 
 
 def test_norms_heed_every_row_alike():
     P_hat = P + torch.tensor([[[3.0, 0.0]], [[30.0, 0.0]]])
-    loss = criterion("norm", torch.ones(2))
+    loss = Criterion("norm", torch.ones(2))
     torch.testing.assert_close(loss(P_hat, P), torch.tensor((3 + 30) / 2 / 2**0.5))
 
 
 def test_slope_of_the_norm_is_finite_where_the_error_is_zero():
     P_hat = P.clone().requires_grad_()
-    criterion("norm", torch.ones(2))(P_hat, P).backward()
+    Criterion("norm", torch.ones(2))(P_hat, P).backward()
     assert P_hat.grad is not None and P_hat.grad.abs().max() == 0
 
 
@@ -49,7 +49,7 @@ def test_kappa_weights_are_the_gains_at_rest():
 
 def test_kappa_loss_of_the_mean_is_one():
     mean = P.double().mean(dim=(0, 1)).expand_as(P)
-    loss = criterion("square", weights(DeepONet(loss="kappa"), PLANT, P.double()))
+    loss = Criterion("square", weights(DeepONet(loss="kappa"), PLANT, P.double()))
     np.testing.assert_allclose(loss(mean, P.double()), 3 / 4, rtol=1e-10)  # n - 1 in the spread, of four values
 
 

@@ -20,7 +20,7 @@ from npred.base.registry import short_name
 from npred.lab.config import DeepONet, Training
 from npred.lab.training import captured, training_loop
 from npred.lab.training.checkpoint import Metrics
-from npred.lab.training.loss import criterion, weights
+from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.rows import Fit, Rows
 
 pytestmark = [
@@ -34,7 +34,7 @@ def task(config: Training, seed: int = 0, count: int = 600, **changes: object) -
     config = config.model_copy(update={"epochs": 6, "batch": 64, "checkpoint_every": 2} | changes)
     train = Rows.of(samples(count, seed=2 * seed), "cuda", nodes=11)
     test = Rows.of(samples(100, seed=2 * seed + 1), "cuda")
-    loss = criterion(config.rows, weights(config, PLANT, train.P))
+    loss = Criterion(config.rows, weights(config, PLANT, train.P))
     return Fit("train tiny", operator(config, seed).to("cuda"), config, train, test, loss, seed=11 + seed)
 
 

@@ -13,7 +13,7 @@ from silent import Silent
 from npred.base.errors import ConfigError, DivergedError, StoreError
 from npred.lab.config import DeepONet, Training
 from npred.lab.training import checkpoint, training_loop
-from npred.lab.training.loss import criterion, weights
+from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.rows import Fit, Rows
 from npred.lab.training.training_loop import cycle_ends, errors, rate
 
@@ -23,7 +23,7 @@ NETWORKS = pytest.mark.parametrize("config", SMALL, ids=["deeponet", "fno"])
 def task(config: Training, seed: int = 0, **changes: object) -> Fit:
     config = config.model_copy(update={"epochs": 6, "batch": 16, "checkpoint_every": 2, **changes})
     train, test = Rows.of(samples(40)), Rows.of(samples(10, seed=1))
-    loss = criterion(config.rows, weights(config, PLANT, train.P))
+    loss = Criterion(config.rows, weights(config, PLANT, train.P))
     return Fit("train tiny", operator(config, seed), config, train, test, loss, seed=11)
 
 

@@ -11,8 +11,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
 from npred.formulas import Value, programs, tape
 from npred.formulas.trace import Trace, python
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant, require
 from npred.prediction.delays import family

@@ -10,8 +10,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.estimation.observers.base import Observer
 from npred.formulas import programs, tape
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.prediction.delays import family

@@ -15,7 +15,7 @@ from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
 from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.store import Artifact, Store
-from npred.lab.training import operators
+from npred.networks import weights
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
 
@@ -80,7 +80,7 @@ def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predict
     devices.require(device)
     with progress.announce(f"loading network {stored.model}", often="once per process"):
         precision = np.float64 if runtime in (None, "torch") else np.float32
-        operator = operators.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
+        operator = weights.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)
         return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 

@@ -15,7 +15,7 @@ from npred.lab.training.soap import EVERY, GraphSOAP
 
 WARM_UP = 3  # runs before a capture: caches, workspaces and handles are made in them
 CAPTURING = Lock()  # networks train side by side in threads, and one capture at a time is enough
-READS = {  # what waits for the GPU, or has a shape that its numbers decide
+READS = {  # operations that wait for the GPU, or whose shape its numbers decide
     "_local_scalar_dense", "equal", "nonzero", "masked_select", "_unique2", "unique_dim", "unique_consecutive",
     "bincount", "repeat_interleave",
 }  # fmt: skip

@@ -25,7 +25,13 @@ def save(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, met
 
     The file is complete or absent: it is written beside its name, synced and renamed.
     """
-    partial, tensors = folder / f"{NAME}.partial", _tensors(network, optimiser)
+    partial = folder / f"{NAME}.partial"
+    moments = {
+        f"optimiser/{index}/{key}": tensor.clone()  # several may be views of one tensor, which no file may hold
+        for index, state in optimiser.state_dict()["state"].items()
+        for key, tensor in state.items()
+    }
+    tensors = {**network.state_dict(), **moments}
     snapshots = {path.name: json_files.sha256(path) for path in sorted(folder.glob("snapshot-*.safetensors"))}
     texts = {"metrics": json.dumps(metrics), "snapshots": json.dumps(snapshots)}  # parts of the result as they are
     save_file(tensors, partial, metadata=texts | {"sha256": _digest(tensors, texts)})
@@ -38,32 +44,28 @@ def restore(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) 
 
     Raises StoreError for a file that is broken or was changed, and for such a snapshot.
     """
-    if not (folder / NAME).exists():
+    path = folder / NAME
+    if not path.exists():
         return []
     try:
-        return _restored(folder / NAME, network, optimiser)
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+            texts = file.metadata()
+        if texts.pop("sha256", "") != _digest(tensors, texts):
+            raise ValueError("other bytes than were written")
+        for name, digest in json_files.parse(texts["snapshots"]).items():
+            if not (folder / name).is_file() or json_files.sha256(folder / name) != digest:
+                raise ValueError(f"{name} missing or with other bytes than were written")
+        network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in tensors.items():
+            _, index, key = name.split("/")
+            state.setdefault(int(index), {})[key] = tensor
+        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+        return json_files.parse(texts["metrics"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        raise StoreError(
-            f"{folder / NAME}: expected a checkpoint, got: {first_line(error)}; delete it to start over"
-        ) from None
-
-
-def _restored(path: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
-    with safe_open(path, framework="pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-        texts = file.metadata()
-    if texts.pop("sha256", "") != _digest(tensors, texts):
-        raise ValueError("other bytes than were written")
-    for name, digest in json_files.parse(texts["snapshots"]).items():
-        if not path.with_name(name).is_file() or json_files.sha256(path.with_name(name)) != digest:
-            raise ValueError(f"{name} missing or with other bytes than were written")
-    network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, tensor in tensors.items():
-        _, index, key = name.split("/")
-        state.setdefault(int(index), {})[key] = tensor
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
-    return json_files.parse(texts["metrics"])
+        expected = f"{path}: expected a checkpoint, got: {first_line(error)}"
+        raise StoreError(f"{expected}; delete it to start over") from None
 
 
 def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
@@ -73,12 +75,3 @@ def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
         digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
     return digest.hexdigest()
-
-
-def _tensors(network: nn.Module, optimiser: torch.optim.Optimizer) -> dict[str, Tensor]:
-    moments = {
-        f"optimiser/{index}/{key}": tensor.clone()  # several may be views of one tensor, which no file may hold
-        for index, state in optimiser.state_dict()["state"].items()
-        for key, tensor in state.items()
-    }
-    return {**network.state_dict(), **moments}

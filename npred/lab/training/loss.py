@@ -43,21 +43,16 @@ def sensitivity(plant: Plant, P: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Criterion:
-    """(P_hat, P) -> the mean over the rows of e^(2 power), with e^2 the mean over nodes and components of
-    (w_i (P_hat_i - P_i))^2.
-    """
-
-    power: float
-    weights: Tensor  # (n,)
-
-    def __call__(self, P_hat: Tensor, P: Tensor) -> Tensor:
-        return (((P_hat - P) * self.weights).square().mean((-2, -1)) + TINY).pow(self.power).mean(-1)
-
-
-def criterion(rows: str, weights: Tensor) -> Criterion:
-    """The mean over the rows of e^2 (`square`) or of e (`norm`).
+    """(P_hat, P) -> the mean over the rows of e² (`square`) or of e (`norm`), with e² the mean over nodes and
+    components of (w_i (P_hat_i - P_i))².
 
     Squares are dominated by the few rows that are far off, of loops that leave the data; norms weigh every row alike,
     also where the loops end, which serves the loop.
     """
-    return Criterion(1.0 if rows == "square" else 0.5, weights)
+
+    rows: str
+    weights: Tensor  # (n,)
+
+    def __call__(self, P_hat: Tensor, P: Tensor) -> Tensor:
+        power = 1.0 if self.rows == "square" else 0.5
+        return (((P_hat - P) * self.weights).square().mean((-2, -1)) + TINY).pow(power).mean(-1)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from npred.base import devices
-from npred.lab.training.operators import TrainedOperator
+from npred.networks.weights import TrainedOperator
 from npred.plants.base import Plant
 from npred.prediction.methods.base import Predictor
 

@@ -1,4 +1,4 @@
-"""What a training takes: the rows, in memory or read in every epoch, and all that is fitted to them."""
+"""The input of a training: the rows, in memory or read in every epoch, and all that is fitted to them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -107,17 +107,15 @@ class Stream:
         """
         files, left = shards.files(self.path), []
         for group in torch.randperm(len(files), generator=shuffle).split(BUFFER):
-            rows = Rows.joined([*left, *(self._read(files[k]) for k in group.tolist())])
+            parts = (Dataset.read(files[k]).subset(test=False) for k in group.tolist())
+            read = (Rows.of(part, self.device, self.nodes, self.phase(part.t)) for part in parts)
+            rows = Rows.joined([*left, *read])
             order = torch.randperm(len(rows), generator=shuffle).to(rows.X.device)
             whole = len(rows) // size * size
             if whole:  # an empty order would be split into one empty batch
                 yield from rows.split(order[:whole], size)
             left = [rows[order[whole:]]]
         yield from (rows for rows in left if len(rows))
-
-    def _read(self, path: Path) -> Rows:
-        data = Dataset.read(path).subset(test=False)
-        return Rows.of(data, self.device, self.nodes, self.phase(data.t))
 
 
 @dataclass(frozen=True)

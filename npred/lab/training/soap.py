@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-BETA = 0.95  # of every running mean: both moments and both covariances
+BETA = 0.95  # decay of every running mean: both moments and both covariances
 EVERY = 10  # steps between two corrections of the eigenbases
 EPS = 1e-8
-SHIFT = 1e-10  # of the mean eigenvalue: a direction that no gradient has yet keeps its vector
-RIDGE = 1e-13  # of the unit columns' Gram matrix: rounding makes that of dependent ones indefinite
+SHIFT = 1e-10  # share of the mean eigenvalue: a direction that no gradient has yet keeps its vector
+RIDGE = 1e-13  # added to the unit columns' Gram matrix: rounding makes that of dependent ones indefinite
 State = dict[str, Any]
 
 
@@ -38,10 +38,21 @@ class SOAP(torch.optim.Optimizer):
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
         for group in self.param_groups:
             for p in group["params"]:
-                state = self.state[p] or self._start(p)
-                p.mul_(1 - group["lr"] * group["weight_decay"]).sub_(group["lr"] * _direction(p.grad, state))
-                if p.dim() > 1:
-                    _learn(p.grad, state)
+                G, state = p.grad, self.state[p] or self._start(p)
+                # not in place: a state that comes from a graph has one for all parameters
+                state["step"] = state["step"] + 1
+                state["mean"].lerp_(G, 1 - BETA)
+                state["square"].lerp_(_turn(G, state).square(), 1 - BETA)
+                unbiased = 1 - BETA ** float(state["step"])
+                step = _turn(state["mean"], state) / unbiased / ((state["square"] / unbiased).sqrt() + EPS)
+                step = state["Q_left"] @ step @ state["Q_right"].mT if p.dim() > 1 else step
+                p.mul_(1 - group["lr"] * group["weight_decay"]).sub_(group["lr"] * step)
+                if p.dim() < 2:
+                    continue
+                state["left"].lerp_(G @ G.mT, 1 - BETA)
+                state["right"].lerp_(G.mT @ G, 1 - BETA)
+                for side in ("left", "right") if int(state["step"]) % EVERY == 0 else ():
+                    state[f"Q_{side}"] = torch.linalg.qr(state[side] @ state[f"Q_{side}"])[0].contiguous()
 
     def _start(self, p: Tensor) -> State:
         state = self.state[p]
@@ -53,28 +64,9 @@ class SOAP(torch.optim.Optimizer):
         return state
 
 
-def _direction(G: Tensor, state: State) -> Tensor:
-    """Adam's step of unit rate, taken in the eigenbasis."""
-    state["step"] = state["step"] + 1  # not in place: a state that comes from a graph has one for all parameters
-    state["mean"].lerp_(G, 1 - BETA)
-    state["square"].lerp_(_turn(G, state).square(), 1 - BETA)
-    unbiased = 1 - BETA ** float(state["step"])
-    step = _turn(state["mean"], state) / unbiased / ((state["square"] / unbiased).sqrt() + EPS)
-    return state["Q_left"] @ step @ state["Q_right"].mT if "left" in state else step
-
-
 def _turn(G: Tensor, state: State) -> Tensor:
     """G in the eigenbasis; a vector as it is."""
     return state["Q_left"].mT @ G @ state["Q_right"] if "left" in state else G
-
-
-def _learn(G: Tensor, state: State) -> None:
-    """Follow the covariances, and now and then their eigenbases, by one step of the QR iteration."""
-    state["left"].lerp_(G @ G.mT, 1 - BETA)
-    state["right"].lerp_(G.mT @ G, 1 - BETA)
-    if int(state["step"]) % EVERY == 0:
-        for side in ("left", "right"):
-            state[f"Q_{side}"] = torch.linalg.qr(state[side] @ state[f"Q_{side}"])[0].contiguous()
 
 
 @dataclass(frozen=True)
@@ -111,7 +103,7 @@ class GraphSOAP(SOAP):
         self.steps = like.new_zeros((), dtype=torch.float32)
         for p, mean, square in zip(self.parameters, self._pieces(self.mean), self._pieces(self.square), strict=True):
             self.state[p] = {"step": self.steps, "mean": mean, "square": square}
-        counts = Counter[int]()  # of bases by size
+        counts = Counter[int]()  # number of bases by size
         for p in self.parameters:
             for size in _matrix(p):
                 counts[size] += math.prod(p.shape[:-2])

@@ -15,13 +15,14 @@ from npred.base.errors import DivergedError, first_line
 from npred.lab.config import Training
 from npred.lab.training import captured, checkpoint
 from npred.lab.training.checkpoint import Metrics
-from npred.lab.training.operators import Operator, io
+from npred.lab.training.operators import Operator
 from npred.lab.training.rows import REST_NODES, Fit, Rows
 from npred.lab.training.soap import SOAP, GraphSOAP
+from npred.networks.weights import file_of
 
 CHUNK = 1024  # rows of a call without gradients
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
-CYCLES = 4  # of that rate in a training that may end before its last epoch, each twice as long as the one before
+CYCLES = 4  # cycles of that rate in a training that may end before its last epoch, each twice as long as the one before
 
 
 def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
@@ -46,7 +47,8 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
             total, lr = torch.zeros((), device=task.test.X.device), 0.0
             for number, rows in enumerate(task.train.batches(order, config.batch)):
                 lr = rate(config, epoch - 1 + number * config.batch / count)
-                _set_rate(optimiser, lr)
+                for group in optimiser.param_groups:
+                    group["lr"] = group["lr"].fill_(lr) if isinstance(group["lr"], Tensor) else lr  # a graph reads it
                 total += step(rows) * len(rows)
                 bar.advance(0)  # Ctrl-C in another thread ends this one here
             loss = float(total) / count
@@ -55,7 +57,7 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
                 raise DivergedError(f"{expected}; lower lr={config.lr:g}")
             metrics.append({"epoch": epoch, "lr": lr, "loss": loss, **errors(task.operator, task.test)})
             if epoch in config.snapshots:
-                io.save_weights(scratch / io.weights(epoch), task.operator)
+                task.operator.weights().save(scratch / file_of(epoch))
             if epoch % config.checkpoint_every == 0:
                 checkpoint.save(scratch, task.operator, optimiser, metrics)
             progress.measured(title, metrics[-1])
@@ -118,14 +120,6 @@ def rate(config: Training, epochs: float) -> float:
     if done < WARM_UP:
         return config.lr * (0.04 + 0.96 * done / WARM_UP)
     return config.lr * (1e-4 + 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP))))
-
-
-def _set_rate(optimiser: torch.optim.Optimizer, lr: float) -> None:
-    for group in optimiser.param_groups:
-        if isinstance(group["lr"], Tensor):  # a CUDA graph reads it where it is
-            group["lr"].fill_(lr)
-        else:
-            group["lr"] = lr
 
 
 def cycle_ends(config: Training) -> list[int]:

@@ -8,8 +8,7 @@ from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.formulas import Value, programs
 from npred.formulas.trace import Trace
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.laws import design
 from npred.plants import inputs

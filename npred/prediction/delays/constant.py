@@ -7,8 +7,7 @@ import numpy as np
 
 from npred.formulas import Array, Value, called_functions, programs, tape
 from npred.formulas.trace import Trace
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
 from npred.prediction.delays import family

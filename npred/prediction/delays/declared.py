@@ -13,15 +13,14 @@ import numpy as np
 
 from npred.formulas import Array, Value, programs, tape
 from npred.formulas.trace import Trace
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
 from npred.prediction.delays import family
 from npred.prediction.delays.constant import ConstantDelay
 from npred.prediction.delays.family import CURES, PredictionProblem, Step, compiled
 
-STEPS = 20  # of Newton's method for s(1); a delay that is free of time needs one
+STEPS = 20  # steps of Newton's method for s(1); a delay that is free of time needs one
 
 
 class DeclaredDelay(PredictionProblem):

@@ -13,7 +13,7 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.formulas import Array, Value
 from npred.kernels import kernel
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas
 from npred.plants.base import Plant
 
 Kernel = Callable[..., None]  # npred.kernels.kernel.Kernel, or for a black box the same in Python
@@ -25,20 +25,20 @@ CONTROL = "P, u, D_hat, t, p, &U"
 UPDATE = "P, X, u, D_hat, t, p, b, &phi, &N"  # u at the nodes
 ADVANCE = "&X, U0, U1, share, dt, t, p"  # in place: the delayed input U0 for the first `share` of a step, then U1
 HORIZON = "X, t, p, ratios, &D_hat, &D"  # the delay of each input, and the longest as D_hat where the plant declares it
-SPEED = "X, U, t, p, &speed"  # of phi(t) = t - D with U acting, 1 - D_X f - D_t
+SPEED = "X, U, t, p, &speed"  # speed of phi(t) = t - D with U acting, 1 - D_X f - D_t
 CORRECT = "P_hat, X, u, D_hat, t, p, &P"  # P_hat less its error, as far as its defect says
 GUARD = "X, u, D_hat, t, p, guard, &P, &error, &fallback"  # P in place; guard: what npred.guard.guarded is set to
-# Of laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
+# Laws that estimate D_hat themselves, and write it: X are the samples of step k and time t, NaN where there is none.
 OBSERVE = "k, dt, X, held, t, p, law, &memory, &D_hat"
-# Of an observer of the state, with one lane: its memory, which begins with the state and the offsets of the inputs,
+# An observer of the state, with one lane: its memory, which begins with the state and the offsets of the inputs,
 # goes on by dt as ADVANCE does, and learns from a sample Y of the outputs that is taken at t, NaN where one is missing.
 FOLLOW = "U0, U1, share, dt, t, p, law, &memory"
 CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
-OUTPUT = "X, t, p, &Y"  # what an observer of the state gets, of one lane
-ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # of observers of the state in Python: X_hat in place, and Y
+OUTPUT = "X, t, p, &Y"  # the outputs that an observer of the state gets, one lane
+ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # observers of the state in Python: X_hat in place, and Y
 # U as near to what it is as keeps the limits of the states that are predicted for the moments when it acts
 PROTECT = "ends, moments, p, safety, low, high, &U, &kept, &filtered, &unkept"
-CURES = {  # what to use instead of what does not serve a plant
+CURES = {  # the cure for each part that does not serve a plant
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
     "rollout": "use rk4",

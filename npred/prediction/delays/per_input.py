@@ -12,8 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from npred.formulas import Array, Value, called_functions, tape
-from npred.kernels.formula import vector
-from npred.kernels.functions import Formulas
+from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
 from npred.prediction.delays import family

@@ -42,7 +42,7 @@ class Predictor(InNotebook, ABC):
 
     name: ClassVar[str] = "predictor"
     guard: Any = None  # npred.prediction.delays.family.GUARD, called after `lanes`, where a predictor is checked
-    settings: Any = None  # of `guard`
+    settings: Any = None  # numbers that `guard` reads
 
     def __init__(self, plant: Plant, nx: int = 101):
         if not isinstance(nx, int | np.integer) or nx < 2:

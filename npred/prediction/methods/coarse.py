@@ -17,7 +17,7 @@ from npred.prediction.methods import method
 from npred.prediction.methods.base import Compiled, OneStep, Predictor
 from npred.prediction.methods.runge_kutta import RK4
 
-LADDER = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)  # of the coarser grid
+LADDER = (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 50, 64, 80, 100, 128, 160, 200)  # cells of the coarser grid
 EXPLICIT = 50  # steps of RK4 that a plant that is not stiff can do with
 
 

@@ -18,7 +18,7 @@ from npred.prediction.methods.base import OneStep
 
 GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 Vector = list[Value]
-Replay = Callable[[Vector], None]  # what an elimination did to the rows, on a right side
+Replay = Callable[[Vector], None]  # applies a step of the elimination to a right side
 
 
 class Rosenbrock(OneStep):

@@ -18,10 +18,9 @@ from npred.lab.config import Bench, Pipeline
 from npred.lab.config.conditions import box
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.job import Job
-from npred.lab.training import operators
 from npred.lab.training.data.dataset import Dataset
-from npred.lab.training.operators import TrainedOperator
 from npred.networks.fused import lowering
+from npred.networks.weights import TrainedOperator, read
 from npred.plants import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, OneStep, Predictor, method
@@ -127,7 +126,7 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     """
     config = job.config.bench
     tables = {name: job.config.train.table(name) for name in job.config.train.models}
-    networks = {name: operators.read(job.inputs[name], job.plant, table=table) for name, table in tables.items()}
+    networks = {name: read(job.inputs[name], job.plant, table=table) for name, table in tables.items()}
     available, methods = _available(job.progress, config), one_step_methods(job.config, job.plant)
     ways = {name: _ways(job.progress, name, operator, available) for name, operator in networks.items()}
 
@@ -215,7 +214,7 @@ def _ways(progress: Console, name: str, operator: TrainedOperator, available: li
 
 def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
     if job.device != "cpu":
-        moved = operators.read(job.inputs[name], job.plant, table=job.config.train.table(name))
+        moved = read(job.inputs[name], job.plant, table=job.config.train.table(name))
         run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
         for copies in (True, False):
             yield Candidate(name, "torch", nx, batch, run, device=job.device, copies=copies)

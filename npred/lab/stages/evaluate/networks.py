@@ -13,11 +13,11 @@ def load(job: Job, contender: PredictorId) -> Predictor:
     A network that cannot be lowered is evaluated by torch.
     """
     from npred import networks as runtimes
-    from npred.lab.training import operators
     from npred.networks.fused import Fused, lowering
+    from npred.networks.weights import read
 
     model, epoch, name = contender.model, contender.epoch, contender.name
-    operator = operators.read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
+    operator = read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
     if not lowering(operator) and epoch is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
     if job.device == "cpu" and lowering(operator):

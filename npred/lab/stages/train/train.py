@@ -15,9 +15,10 @@ from npred.lab.scheduler.job import Job
 from npred.lab.training import loss, training_loop
 from npred.lab.training.captured import own_stream
 from npred.lab.training.data import shards
-from npred.lab.training.operators import Operator, Scaling, checked, io, save
+from npred.lab.training.operators import Operator, Scaling, checked, save
 from npred.lab.training.rows import Fit, Rows, Stream
 from npred.networks.domain import Domain
+from npred.networks.weights import file_of
 
 SEEDING = Lock()  # torch has one generator for all threads, and another network may be starting beside this one
 
@@ -40,7 +41,7 @@ def run(job: Job) -> Trained:
     lines = "".join(json.dumps(row) + "\n" for row in metrics)
     (job.folder / "metrics.jsonl").write_text(lines, encoding="utf-8")
     for epoch in config.snapshots:
-        shutil.copy(job.scratch / io.weights(epoch), job.folder)
+        shutil.copy(job.scratch / file_of(epoch), job.folder)
     parameters = sum(p.numel() for p in task.operator.parameters())
     size = {"model": job.model, "parameters": parameters, "samples": len(task.train), "epochs": len(metrics)}
     return Trained(**size, **{key: metrics[-1][key] for key in ("loss", "mse", "eps_sup")})
@@ -58,7 +59,7 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     operator = _untrained(job.plant, config, scaling, seed)
     parts = stream.parts if streamed else lambda: [fitted]
     operator.domain = Domain.of_parts(parts, scaling.X_bend.double().cpu().numpy(), job.plant.phase)
-    criterion = loss.criterion(config.rows, loss.weights(config, job.plant, rows.P))
+    criterion = loss.Criterion(config.rows, loss.weights(config, job.plant, rows.P))
     operator = operator.to(job.device)  # and the scaling with it, which the domain was made of
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
 

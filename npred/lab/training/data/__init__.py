@@ -1,1 +1,1 @@
-"""Samples on the disk: data sets, shards, HDF5, and files of other programs."""
+"""Samples on the disk: data sets, shards, HDF5."""

@@ -78,7 +78,7 @@ def _joined(array: h5py.Dataset, name: str, path: Path) -> int:
     for source in array.virtual_sources():
         if not SHARD.fullmatch(source.file_name) or source.file_name == path.name:
             raise ValueError(f"{name} is joined from {source.file_name!r}, no file beside it")
-        if source.dset_name.strip("/") != name:  # what HDF5 makes of other names (%b, links on the way) is not checked
+        if source.dset_name.strip("/") != name:  # others, with %b or links on the way, are not checked
             raise ValueError(f"{name} is joined from {source.dset_name!r} of {source.file_name}")
         if source.file_name not in checked:
             checked.add(source.file_name)

@@ -54,11 +54,6 @@ def files(path: Path) -> list[Path]:
         return [path.with_name(shard.file_name) for shard in joined] or [path]
 
 
-def attributes(path: Path) -> dict[str, Any]:
-    with h5py.File(path, "r") as file:
-        return dict(file.attrs)
-
-
 def parts(path: Path) -> Iterator[Dataset]:
     """The rows of a data.h5, a shard at a time; of a single file all at once."""
     return map(Dataset.read, files(path))

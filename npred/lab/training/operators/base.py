@@ -1,6 +1,7 @@
 """A neural predictor: a network between scalings, and the anchor that says where it is exact by construction."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -8,14 +9,15 @@ from torch import Tensor, nn
 
 from npred.base import source_lines
 from npred.base.errors import ConfigError
-from npred.base.registry import NETWORKS
-from npred.lab.config import Anchor, Training
+from npred.base.registry import NETWORKS, in_file
+from npred.lab.config import Training
 from npred.lab.training.operators.scaling import Scaling
+from npred.networks import weights as files
 from npred.networks.domain import Domain
-from npred.networks.weights import Weights, check_anchor
+from npred.networks.weights import NetworkTable, Weights, check_anchor
 from npred.plants.base import Plant
 
-NODES = 5  # of the tiny batch that a network is asked on
+NODES = 5  # nodes of the tiny batch that checks a network
 
 
 class Operator(nn.Module):
@@ -29,14 +31,14 @@ class Operator(nn.Module):
         equilibrium  P_hat = X + x D_hat S [N(x; X, u, D_hat) - N(x; X*, u*, D_hat)], so also P_hat = X* at rest
     """
 
-    anchor: Anchor
+    anchor: str
     X_rest: Tensor
     u_rest: Tensor
 
-    def __init__(self, network: nn.Module, scaling: Scaling, anchor: Anchor, X_rest: Tensor, u_rest: Tensor) -> None:
+    def __init__(self, network: nn.Module, scaling: Scaling, anchor: str, X_rest: Tensor, u_rest: Tensor) -> None:
         super().__init__()
         self.network, self.scaling, self.anchor = network, scaling, anchor
-        self.domain: Domain | None = None  # of the data, where it was saved with the network
+        self.domain: Domain | None = None  # the domain of the data, where it was saved with the network
         self.register_buffer("X_rest", X_rest)
         self.register_buffer("u_rest", u_rest)
 
@@ -54,7 +56,7 @@ class Operator(nn.Module):
         return Weights(self.architecture, self.anchor, arrays, self.domain)
 
     def module(self, plant: Plant) -> "Operator":
-        """Itself; npred.lab.training.operators.Weights make one."""
+        """Itself; npred.networks.weights.Weights make one."""
         return self
 
     def forward(
@@ -71,8 +73,11 @@ class Operator(nn.Module):
         N = self._velocity(X, u, D_hat, phase, stride)
         if self.anchor == "none":
             return self.scaling.P_mean + self.scaling.P_std * N
-        if self.anchor == "equilibrium":
-            N = N - self._at_rest(D_hat, phase, N.shape[1], rest_nodes or D_hat.shape[0])
+        if self.anchor == "equilibrium" and phase is None and rest_nodes and rest_nodes < D_hat.shape[0]:
+            points, weights = chebyshev(D_hat, rest_nodes)
+            N = N - torch.tensordot(weights, self.at_rest(points, N.shape[1]), dims=1)
+        elif self.anchor == "equilibrium":
+            N = N - self.at_rest(D_hat, N.shape[1], phase)
         x = torch.linspace(0, 1, N.shape[1], dtype=u.dtype, device=u.device)[:, None]  # (nx, 1)
         return X[:, None, :] + x * D_hat[:, None, None] * self.scaling.speed * N
 
@@ -89,12 +94,6 @@ class Operator(nn.Module):
             X = torch.cat([X, torch.cos(angle), torch.sin(angle)], dim=1)
         return self.network(X, u, D_hat, stride)
 
-    def _at_rest(self, D_hat: Tensor, phase: Tensor | None, nx: int, count: int) -> Tensor:
-        if count >= D_hat.shape[0] or phase is not None:
-            return self.at_rest(D_hat, nx, phase)
-        points, weights = chebyshev(D_hat, count)
-        return torch.tensordot(weights, self.at_rest(points, nx), dims=1)
-
 
 def chebyshev(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Chebyshev points (count,) on the range of the values (B,), and weights (B, count) that interpolate from them."""
@@ -107,30 +106,38 @@ def chebyshev(values: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return low + (high - low) * (1 + torch.cos(angle)) / 2, weights
 
 
-def build(config: Training, plant: Plant, scaling: Scaling) -> Operator:
-    """An untrained operator: `config` gives network, sizes and anchor, torch's generator the weights.
+def build(table: NetworkTable, plant: Plant, scaling: Scaling) -> Operator:
+    """An untrained operator: `table` gives network, sizes and anchor, torch's generator the weights.
 
     Raises ConfigError for an unknown network, and for the anchor `equilibrium` on a plant without one.
     """
-    network = NETWORKS.load("network", config.architecture)(plant.n, plant.m, _clock(plant), **config.arguments)
-    check_anchor(config.anchor, plant)
+    network = NETWORKS.load("network", table.architecture)(plant.n, plant.m, _clock(plant), **table.arguments)
+    check_anchor(table.anchor, plant)
     rest = plant.rest or (np.zeros(plant.n), np.zeros(plant.m))
-    return Operator(network, scaling, config.anchor, *(torch.as_tensor(a, dtype=torch.float32) for a in rest))
+    return Operator(network, scaling, table.anchor, *(torch.as_tensor(a, dtype=torch.float32) for a in rest))
 
 
 def filled(weights: Weights, plant: Plant) -> Operator:
-    """The operator with these weights, in their precision, ready for use."""
+    """The operator with these weights and the domain of its data, in their precision, for use alone."""
     assert weights.table is not None
     operator = build(weights.table, plant, Scaling(plant.n, plant.m))
     operator.to(torch.from_numpy(weights["X_rest"]).dtype)
     operator.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
-    return ready(operator, weights.domain)
-
-
-def ready(operator: Operator, domain: Domain | None) -> Operator:
-    """A trained operator with the domain of its data, for use alone."""
-    operator.domain = domain
+    operator.domain = weights.domain
     return operator.eval().requires_grad_(False)
+
+
+def kinds(table: NetworkTable, plant: Plant) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Shape and type of each parameter and buffer; of a registered network no memory is taken for them."""
+    with torch.device("cpu" if in_file(table.architecture) else "meta"):
+        tensors = build(table, plant, Scaling(plant.n, plant.m)).state_dict()
+    return {name: (tuple(t.shape), str(t.dtype).removeprefix("torch.")) for name, t in tensors.items()}
+
+
+def save(folder: Path, operator: Operator, config: Training) -> None:
+    """Write the files that npred.networks.weights.read reads, `config` without the folders of its files."""
+    config = config.moved(lambda path: Path(path).name)
+    files.save(folder, operator, config, config.model_dump(mode="json"))
 
 
 def checked(config: Training, plant: Plant, scaling: Scaling) -> Operator:

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.utils._pytree import tree_map
 
 from npred.networks import matrices
-from npred.networks.layouts import DEGREE
+from npred.networks.deeponet import DEGREE
 
 
 class DeepONetwork(nn.Module):
@@ -57,7 +57,7 @@ def as_tensors(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of sizes that gives one matrix or several, as one of sizes, type and device that gives tensors."""
 
     @lru_cache(maxsize=32)
-    @torch.inference_mode(False)  # what an inference run caches must serve training too
+    @torch.inference_mode(False)  # a tensor that an inference run caches must serve training too
     def tensors(*arguments: Any) -> Any:
         *sizes, dtype, device = arguments
         return tree_map(lambda a: torch.as_tensor(a, dtype=dtype, device=device), function(*sizes))
