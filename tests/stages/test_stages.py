@@ -48,7 +48,7 @@ def evaluated(made, tmp_path_factory):
     return task, evaluate.run(task).json_object()
 
 
-def test_every_contender_is_there(evaluated):
+def test_every_predictor_is_there(evaluated):
     _, result = evaluated
     assert list(result["models"]) == ["numerical", "no_adaptation", "deeponet@1", "deeponet", "fno"]
     for row in result["models"].values():
@@ -143,7 +143,7 @@ def test_a_fresh_row_whose_input_is_lost_before_its_state_is_left_out():
     u = np.zeros((2, 3, 5, 1))
     u[1, 2, -1] = np.nan
     loops: Any = types.SimpleNamespace(samples=Samples(np.ones((2, 3, 1)), u, np.full((2, 3), 0.4)))
-    rows = accuracy.Labelled.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
+    rows = accuracy.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
     assert len(rows.X) == 5 and np.isfinite(rows.P).all()
 
 
@@ -224,7 +224,7 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
 
 
 def test_map_and_coverage_of_known_loops():
-    """Three loops at rest and one far away; the reference loses one that the contender brings home."""
+    """Three loops at rest and one far away; the reference loses one that the other one keeps."""
     t, rest = np.linspace(0, 1, 11), np.tile(PLANT.equilibrium, (4, 11, 1))
     far = rest.copy()
     far[3] += 10.0

@@ -12,7 +12,7 @@ from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler import pipeline_fit
 from npred.lab.stages.bench import break_even, candidates, timing_tables
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference
-from npred.lab.stages.generate import rollouts
+from npred.lab.stages.generate import sampling
 from npred.lab.training.data.dataset import Dataset
 from npred.networks.fused import Fused
 from npred.networks.weights import untrained
@@ -60,7 +60,7 @@ def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
     loops, count = TRACED if plant.traced else CALLED
     size = {"rollouts": loops, "samples": min(count, loops * round(t_end / config.dt)), "t_end": t_end}
     changed = config.model_copy(update=size | {"explore": 0.0, "redraw": 0.0, "data": ""})
-    rows = rollouts.rows(pipeline.model_copy(update={"generate": changed}), plant, range(loops), finite=False)
+    rows = sampling.rows(pipeline.model_copy(update={"generate": changed}), plant, range(loops), finite=False)
     finite = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"]) & np.isfinite(rows["P"]).all(axis=(1, 2))
     kept = {name: array[finite] for name, array in rows.items()}
     return Dataset(**kept, test=np.ones(finite.sum(), dtype=np.uint8))

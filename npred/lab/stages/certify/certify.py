@@ -17,7 +17,7 @@ from npred.lab.scheduler.job import Job
 from npred.lab.stages.certify import rollouts
 from npred.lab.stages.certify.rollouts import Rollouts
 from npred.lab.stages.certify.table import Certify
-from npred.lab.stages.evaluate import networks
+from npred.lab.stages.evaluate.evaluate import load_network
 from npred.lab.stages.generate import sampling
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
@@ -38,7 +38,7 @@ def run(job: Job) -> Certified:
     devices.torch_threads(1)  # the same bits on any machine; another network takes the other cores
     exact, guard_table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
-        contender: Guarded(networks.load(job, contender), exact=exact, **dict(guard_table))
+        contender: Guarded(load_network(job, contender), exact=exact, **dict(guard_table))
         for contender in map(PredictorId, job.config.train.models)
     }
     by_rollout = rollouts.judge(job, guards, exact)

@@ -15,7 +15,7 @@ from npred.plants import Plant
 
 MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
 NEAR = 0.05  # of the bounds' width: data that come this close to a bound of D_hat reach it
-WARN = 0.01  # of a contender's loop steps
+WARN = 0.01  # of a predictor's loop steps
 BINS = 60
 
 
@@ -29,29 +29,22 @@ def quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) ->
 def measure(
     plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
 ) -> dict[str, Coverage]:
-    """For each quantity its range in the training data, and the share of each contender's loop steps outside it.
+    """For each quantity its range in the training data, and the share of each predictor's loop steps outside it.
 
     An estimate at its bound is inside where the data come near that bound: they cannot lie beyond, and what is drawn
     up to a bound does not meet it.
     """
     covered = quantities(plant, data.X, data.u, data.D_hat)
     ranges = {name: (float(values.min()), float(values.max())) for name, values in covered.items()}
-    reached = ranges | {"D_hat": _up_to(bounds, *ranges["D_hat"])}
+    near, ends = NEAR * (bounds[1] - bounds[0]), zip(ranges["D_hat"], bounds, strict=True)
+    reached: dict[str, Any] = {"D_hat": [bound if abs(end - bound) <= near < np.inf else end for end, bound in ends]}
     outside: dict[str, dict[PredictorId, float]] = {name: {} for name in ranges}
-    for contender, run in loops.items():
+    for predictor_id, run in loops.items():
         for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
-            low, high = reached[name]
+            low, high = reached.get(name, ranges[name])
             slack = MARGIN * (high - low)
-            outside[name][contender] = float(np.mean((values < low - slack) | (values > high + slack)))
+            outside[name][predictor_id] = float(np.mean((values < low - slack) | (values > high + slack)))
     return {name: Coverage(data=ranges[name], outside=outside[name]) for name in ranges}
-
-
-def _up_to(bounds: tuple[float, float], low: float, high: float) -> tuple[float, float]:
-    """The range with its ends moved to bounds that they are near to."""
-    near = NEAR * (bounds[1] - bounds[0])
-    ends = zip((low, high), bounds, strict=True)
-    low, high = (bound if abs(end - bound) <= near < np.inf else end for end, bound in ends)
-    return low, high
 
 
 def write(path: Path, plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories]) -> None:
@@ -63,8 +56,8 @@ def write(path: Path, plant: Plant, data: Dataset, loops: Mapping[PredictorId, T
             slack = slack or 0.01 * max(abs(values[0]), 1.0)  # of a delay that is known there is one value
             edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
             file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
-        for contender, run in loops.items():
+        for predictor_id, run in loops.items():
             for name, values in quantities(plant, run.X, run.U, run.D_hat).items():
                 edges = file[f"{name}/edges"][:]
                 inside = np.histogram(values, edges)[0] / max(len(values), 1)
-                file[f"{name}/loops/{contender.name}"] = inside / np.diff(edges)
+                file[f"{name}/loops/{predictor_id.name}"] = inside / np.diff(edges)

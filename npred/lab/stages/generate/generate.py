@@ -14,8 +14,8 @@ from npred.lab.config import Generate, Pipeline
 from npred.lab.config.results import Generated
 from npred.lab.scheduler import executors, pipeline_fit
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.generate import rollouts, sampling, sharded
-from npred.lab.stages.generate.rollouts import Columns
+from npred.lab.stages.generate import sampling, sharded
+from npred.lab.stages.generate.sampling import Columns
 from npred.lab.training.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
 
@@ -38,12 +38,12 @@ def run(job: Job) -> Generated:
         data.write(job.folder / "data.h5", attributes(job.plant, "imported"))
         test = np.unique(data.rollout[data.test == 1]).tolist()
         return Generated(samples=len(data), rollouts=len(np.unique(data.rollout)), held_out=test, nx=data.u.shape[1])
-    held_out = sampling.held_out(job.config.seed, config)
-    size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out.tolist(), "nx": config.nx}
+    held_out = sorted(sampling.spared(job.config.seed, config))
+    size = {"samples": config.samples, "rollouts": config.rollouts, "held_out": held_out, "nx": config.nx}
     if sharded.needed(job.plant, config):
         return Generated(**size, shards=sharded.write(job))
     parts = dict(batches(job, job.config))
-    rows = rollouts.joined([parts[start] for start in sorted(parts)])
+    rows = sampling.joined([parts[start] for start in sorted(parts)])
     data = Dataset(**rows, test=np.isin(rows["rollout"], held_out).astype(np.uint8))
     data.write(job.folder / "data.h5", attributes(job.plant, short_name(config.predictor)))
     return Generated(**size)
@@ -56,31 +56,24 @@ def summary(result: Generated, width: int | None = None) -> str:
 
 def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tuple[int, Columns]]:
     """The rows of each batch of a pipeline's rollouts, after its first one."""
-    ranges = _ranges(config.generate, job.executor.count)
+    ranges, workers = _ranges(config.generate, job.executor.count), job.executor
     job.progress.doing(stage, "compiling")
-    near = _near(job, config, len(ranges))
+    near = None  # other processes, or machines
+    if len(ranges) == 1 or (workers.count == 1 and not workers.remote):
+        near = executors.Here()
+    elif not workers.remote and sampling.compiled(config, job.plant):  # its loops let go of the interpreter, and their
+        near = executors.Threads(workers.count)  # rows need not be sent
     with (
         job.progress.bar(stage, config.generate.rollouts, "rollouts") as bar,
-        executors.closed(near) if near else nullcontext(job.executor) as executor,
+        executors.closed(near) if near else nullcontext(workers) as executor,
     ):
         if near:
-            make = partial(rollouts.rows, config, job.plant, progress=lambda _: bar.advance(0))  # ends a thread early
+            make = partial(sampling.rows, config, job.plant, progress=lambda _: bar.advance(0))  # ends a thread early
         else:
-            make = partial(rollouts.elsewhere, config.located(), rollouts.surroundings(config, job.plant))
+            make = partial(sampling.elsewhere, config.located(), sampling.surroundings(config, job.plant))
         for batch, rows in executors.completed(executor, make, ranges):
             bar.advance(len(batch))
             yield batch.start, rows
-
-
-def _near(job: Job, config: Pipeline, batches: int) -> executors.Workers | None:
-    """This process: for a single batch, and its threads for loops that let go of the interpreter, whose rows need not
-    be sent. None where other processes, or machines, serve better.
-    """
-    workers = job.executor
-    if batches == 1 or (workers.count == 1 and not workers.remote):
-        return executors.Here()
-    threads = not workers.remote and rollouts.compiled(config, job.plant)
-    return executors.Threads(workers.count) if threads else None
 
 
 def _ranges(config: Generate, workers: int) -> list[range]:

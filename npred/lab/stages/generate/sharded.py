@@ -22,7 +22,7 @@ from npred.base.registry import short_name
 from npred.lab.config import Generate, Pipeline
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.generate import rollouts, sampling
+from npred.lab.stages.generate import sampling
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset, attributes
 from npred.loop.closed_loop import LANES
@@ -65,7 +65,7 @@ def write(job: Job) -> int:
     ]
     missing = [batch for batch in batches if not _kept(shards_at.folder / shards.name(batch[0]))]
     about = attributes(job.plant, short_name(config.predictor))
-    make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), shards_at, about)
+    make = partial(_shard, job.config.located(), sampling.surroundings(job.config, job.plant), shards_at, about)
     job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))
@@ -87,7 +87,7 @@ def write(job: Job) -> int:
 
 def _shard_folder(job: Job) -> ShardFolder:
     """The folder in scratch; shards that other versions of the packages made before are none of this run's."""
-    text = json.dumps(rollouts.surroundings(job.config, job.plant), sort_keys=True)
+    text = json.dumps(sampling.surroundings(job.config, job.plant), sort_keys=True)
     folder = job.scratch.absolute() / f"shards-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
     folder.mkdir(exist_ok=True)
     for half in folder.glob(".data-*"):  # a worker that was killed left it
@@ -102,7 +102,7 @@ def _shard(
 ) -> bytes | None:
     """Write a shard; its bytes where this process does not see the folder."""
     number, rollout_range = batch
-    rows = rollouts.elsewhere(pipeline, expected, rollout_range)
+    rows = sampling.elsewhere(pipeline, expected, rollout_range)
     test = np.isin(rows["rollout"], list(sampling.spared(pipeline.seed, pipeline.generate))).astype(np.uint8)
     save = partial(Dataset(**rows, test=test).write, attributes=about)
     if shards_at.shared():
