@@ -153,10 +153,10 @@ def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
 
 def _closing(options: Work, outcomes: list[Outcome]) -> str:
     """The summary of a whole run: the report's sentences, and a table of the predictors."""
-    from npred.lab.stages.bench import timing_tables
+    from npred.lab.stages.bench import bench
     from npred.lab.stages.report import tables
 
     folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
-    times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
+    times = bench.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
     table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
     return "\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n"

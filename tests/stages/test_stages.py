@@ -19,7 +19,7 @@ from npred.base.errors import MissingError
 from npred.lab import config
 from npred.lab.config.results import Benched, Evaluated, PredictorId
 from npred.lab.config.results.bench import Stops
-from npred.lab.stages.bench import bench, timing_tables
+from npred.lab.stages.bench import bench
 from npred.lab.stages.evaluate import accuracy, behaviour, coverage, evaluate
 from npred.lab.stages.generate import generate
 from npred.lab.stages.train import train
@@ -353,11 +353,11 @@ def test_bench_says_from_where_on_a_network_pays(benched):
 
 def test_bench_says_what_of_the_tails_is_the_machines(benched):
     found = benched[1]["stops"]
-    assert found["per_s"] >= 0 and found["sentence"] == timing_tables.stopped(Stops.of(found, "a test"))
-    told = timing_tables.stopped(Stops(per_s=400.0, median_us=38.2))
+    assert found["per_s"] >= 0 and found["sentence"] == bench.stopped(Stops.of(found, "a test"))
+    told = bench.stopped(Stops(per_s=400.0, median_us=38.2))
     assert "400 times per second, for 38 µs in the median: from 2.5 µs per call on" in told
-    assert "did not stop" in timing_tables.stopped(Stops(per_s=0.0, median_us=0.0))
-    assert timing_tables.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
+    assert "did not stop" in bench.stopped(Stops(per_s=0.0, median_us=0.0))
+    assert bench.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
 
 
 @pytest.mark.slow

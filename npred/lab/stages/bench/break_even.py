@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 
 from npred.base import grid
+from npred.base.progress import counted
+from npred.base.registry import METHODS, NETWORKS
 from npred.kernels.kernel import bound
 from npred.lab.config import Bench
 from npred.lab.config.results.bench import CallTimes, Crossover, EquivalentMethod
+from npred.lab.report.figures.style import short
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.bench import timing, timing_tables
+from npred.lab.stages.bench import timing
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference, matching
 from npred.prediction.methods import RK4, OneStep, Predictor
 
-STEPS = (10, 210)  # of the two runs whose difference is the cost of f
+STEPS = (10, 210)  # in the two runs whose difference is the cost of f
 
 
 def measure(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference: Reference) -> list[Crossover]:
@@ -45,8 +48,8 @@ def crossover(
     network, 0 where they do without f.
     """
     plant = reference.plant
-    typical = [_by_median(entry, reference, eps.median) for entry in methods]
-    timed = (network, *methods, *(entry for entry in typical if entry))
+    typical = [entry for entry in (_by_median(entry, reference, eps.median) for entry in methods) if entry]
+    timed = (network, *methods, *typical)
     runs = {entry.label: entry.run for entry in timed} | {str(k): RK4(plant, k + 1) for k in STEPS}
     calls = {label: call(reference, run) for label, run in runs.items()}
     times = timing.sample(calls, config.calls, config.seconds)
@@ -55,17 +58,27 @@ def crossover(
     f_ns = 1000 * (many - few) / (RK4.evaluations() * (STEPS[1] - STEPS[0]))
     best = min(methods, key=lambda entry: median[entry.label])
     network_us, best_us = median[network.label], median[best.label]
-    evaluations = _evaluations(best) or 1000 * best_us / f_ns
+    evaluations = 1000 * best_us / f_ns  # where all of a call grows with f: an implicit step, a simulator
+    if isinstance(best.run, OneStep) and not hasattr(best.run.step, "whole"):
+        evaluations = best.run.evaluations() * (best.nx - 1)
+
+    def equivalent(entries: list[Candidate]) -> list[EquivalentMethod]:
+        errors = [reference.of_method(entry.run, entry.nx) for entry in entries]
+        return [
+            EquivalentMethod(predictor=e.predictor, steps=e.nx - 1, median_us=median[e.label], eps_sup=eps.sup,
+                             eps_median=eps.median)
+            for e, eps in zip(entries, errors, strict=True)
+        ]  # fmt: skip
+
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     measured = Crossover(
         plant=plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=eps.sup,
         eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
-        network_us=network_us, numerical=[_equivalent(e, median, reference) for e in methods],
-        by_median=[_equivalent(e, median, reference) for e in typical if e],
+        network_us=network_us, numerical=equivalent(methods), by_median=equivalent(typical),
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return measured.model_copy(update={"sentence": timing_tables.network_pays(measured, 1 / (network.nx - 1))})
+    return measured.model_copy(update={"sentence": network_pays(measured, 1 / (network.nx - 1))})
 
 
 def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
@@ -74,24 +87,6 @@ def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate
     nodes = matching(reference, kind, eps, by="median")
     run = kind(method.run.plant, nodes) if nodes else None
     return run and replace(method, nx=nodes, run=run, matches=f"{method.matches}, median")
-
-
-def _equivalent(entry: Candidate, median_us: dict[str, float], reference: Reference) -> EquivalentMethod:
-    errors = reference.of_method(entry.run, entry.nx)
-    return EquivalentMethod(
-        predictor=entry.predictor, steps=entry.nx - 1, median_us=median_us[entry.label], eps_sup=errors.sup,
-        eps_median=errors.median,
-    )  # fmt: skip
-
-
-def _evaluations(method: Candidate) -> int | None:
-    """The evaluations of f in a call; None where all of it grows with f: an implicit step's derivatives and matrix, and
-    what a simulator does.
-    """
-    run = method.run
-    if not isinstance(run, OneStep) or hasattr(run.step, "whole"):
-        return None
-    return run.evaluations() * (method.nx - 1)
 
 
 def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
@@ -113,3 +108,35 @@ def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
         checks[k % len(checks)]()
 
     return checked
+
+
+def network_pays(crossover: Crossover, dx: float | None) -> str:
+    """The break-even of a network in a sentence; `dx` is the grid of its call, None where it is not known."""
+    numerical, ratio = method_on(crossover.best, crossover.best_steps), crossover.network_speedup
+    grid = "" if dx is None else f", dx = {dx:.3g}"
+    network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime}{grid})"
+    first, second = (numerical, network) if ratio < 1 else (network, numerical)
+    slower = [row for row in crossover.numerical if row.predictor != crossover.best]
+    others = "".join(f", {method_on(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in slower)
+    here = f"(here {crossover.f_ns:.0f} ns)"
+    from_ns = crossover.pays_from_ns
+    pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
+    typical = ""
+    if crossover.by_median:  # the median error ranks methods otherwise than the largest may
+        method = min(crossover.by_median, key=lambda row: row.median_us)
+        times = method.median_us / crossover.network_us
+        typical = (
+            f" By the median error over samples, {short(crossover.eps_median)}, "
+            f"{method_on(method.predictor, method.steps)} has the network's in {method.median_us:.1f} µs, "
+            f"{f'{1 / times:.1f} times as fast' if times < 1 else f'{times:.1f} times its time'}."
+        )
+    return (
+        f"For {crossover.plant} at ε = {short(crossover.eps_sup)} the fastest predictor is {first}, "
+        f"{max(ratio, 1 / ratio):.1f} times as fast as {second}: the network takes {crossover.network_us:.1f} µs, "
+        f"{numerical} {crossover.best_us:.1f} µs{others}.{typical} A network pays {pays}."
+    )
+
+
+def method_on(name: str, steps: int) -> str:
+    """A method and its number of steps, in words."""
+    return f"{METHODS.label(name)} on {counted(steps, 'steps')}"

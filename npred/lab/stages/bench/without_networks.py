@@ -10,7 +10,7 @@ from npred.lab.config.results.bench import BreakEven, Crossover
 from npred.lab.report.figures.style import short
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler import pipeline_fit
-from npred.lab.stages.bench import break_even, candidates, timing_tables
+from npred.lab.stages.bench import break_even, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.lab.stages.generate import sampling
 from npred.lab.training.data.dataset import Dataset
@@ -69,9 +69,11 @@ def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
 def sentence(crossovers: list[Crossover]) -> str:
     """Whether a network could pay, in words; the errors are in the order of RELATIVE."""
     faster = [c for c in crossovers if c.network_speedup > 1]
-    bests = ", ".join(f"{_method(c)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers)
+    bests = ", ".join(
+        f"{break_even.method_on(c.best, c.best_steps)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers
+    )
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
-    least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {_share(c)} error)" for c in crossovers)
+    least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {100 * c.eps_relative:.2g} % error)" for c in crossovers)
     pays = f"One would pay if an evaluation of f took at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
@@ -83,16 +85,8 @@ def sentence(crossovers: list[Crossover]) -> str:
     return f"A network could pay for {crossovers[0].plant}{which}: {times}. {pays} Train one to know its error."
 
 
-def _share(crossover: Crossover) -> str:
-    return f"{100 * crossover.eps_relative:.2g} %"
-
-
-def _method(crossover: Crossover) -> str:
-    return timing_tables.method_on(crossover.best, crossover.best_steps)
-
-
 def summary(result: BreakEven, width: int | None = None) -> str:
-    """What was assumed, a table, and the sentence."""
+    """The assumptions, a table, and the sentence."""
     rows = [
         [row.predictor, f"{row.steps}", f"{1 / row.steps:.3g}", f"{row.median_us:.1f}", short(row.eps_sup)]
         for crossover in result.crossover
@@ -101,7 +95,7 @@ def summary(result: BreakEven, width: int | None = None) -> str:
     first = result.crossover[0]
     rows.append([result.network, "", "", f"{first.network_us:.1f}", "not trained"])
     head = ["predictor", "steps", "dx", "µs", "ε sup"]
-    upper, lower = map(_share, result.crossover)
+    upper, lower = (f"{100 * crossover.eps_relative:.2g} %" for crossover in result.crossover)
     errors = f"{upper} (upper rows) and {lower} (lower rows) of the largest |P|"
     about = f"{result.plant}: the fewest steps with which each method errs by at most {errors}"
     return "\n".join([about, "", columns(head, rows, width, numbers=head[1:]), "", result.sentence])

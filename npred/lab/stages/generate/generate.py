@@ -61,8 +61,8 @@ def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tup
     near = None  # other processes, or machines
     if len(ranges) == 1 or (workers.count == 1 and not workers.remote):
         near = executors.Here()
-    elif not workers.remote and sampling.compiled(config, job.plant):  # its loops let go of the interpreter, and their
-        near = executors.Threads(workers.count)  # rows need not be sent
+    elif not workers.remote and sampling.compiled(config, job.plant):
+        near = executors.Threads(workers.count)  # such loops let go of the interpreter, and their rows need not be sent
     with (
         job.progress.bar(stage, config.generate.rollouts, "rollouts") as bar,
         executors.closed(near) if near else nullcontext(workers) as executor,

@@ -9,7 +9,7 @@ from npred.lab.config import FROZEN, Evaluate
 from npred.lab.config.results import Reported
 from npred.lab.report.figures.notation import symbol
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.bench import timing_tables
+from npred.lab.stages.bench import bench
 from npred.lab.stages.report import html_page, toml_text
 from npred.lab.stages.report.report_data import CHAPTERS, PipelineResults, sentences
 from npred.plants import Plant
@@ -54,7 +54,7 @@ def _chapters(results: PipelineResults) -> list[dict[str, Any]]:
             "id": name,
             "title": title,
             "figures": [figures[each] for each in shown if each in figures],
-            "notes": timing_tables.sentences(results.benched) if name == "speed" else [],
+            "notes": bench.sentences(results.benched) if name == "speed" else [],
             "tables": [tables[each] for each in below if each in tables],
         }
         for name, title, shown, below in CHAPTERS

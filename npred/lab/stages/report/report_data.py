@@ -26,7 +26,7 @@ from npred.lab.report.figures.evaluation_data import OF
 from npred.lab.report.figures.latency import label
 from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Table
-from npred.lab.stages.bench import timing_tables
+from npred.lab.stages.bench import bench, break_even
 from npred.lab.stages.report import tables
 from npred.loop import metrics
 from npred.plants import Plant
@@ -167,8 +167,8 @@ def _speed(benched: Benched) -> str:
     if row.speedup_published is not None:  # inputs with several delays have no published predictor
         text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
     for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
-        dx = timing_tables.timed_dx(benched, crossover)
-        method = timing_tables.method_on(crossover.best, crossover.best_steps)
+        dx = bench.timed_dx(benched, crossover)
+        method = break_even.method_on(crossover.best, crossover.best_steps)
         text += (
             f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network"
             f"{'' if dx is None else f' at dx = {dx:.3g}'} in {crossover.network_us:.1f} µs"
