@@ -59,7 +59,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
         return
     from npred import plants
     from npred.lab.report.figures.style import MEDIA
-    from npred.lab.stages.report.report_data import PipelineResults
+    from npred.lab.stages.report.report import PipelineResults
 
     if medium not in MEDIA:
         raise ConfigError(unlisted("--figures", medium, MEDIA))
@@ -67,7 +67,7 @@ def report(options: Work, output: Path | None, medium: str | None) -> None:
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
-    results = PipelineResults.read(options.config, plant, folders)
+    results = PipelineResults(options.config, plant, folders)
     with room_on_disk(folder):
         files = write_figures(results, folder, MEDIA[medium])
         if output is None:

@@ -20,7 +20,7 @@ from npred.lab import config
 from npred.lab.config.results import Benched, Evaluated, PredictorId
 from npred.lab.config.results.bench import Stops
 from npred.lab.stages.bench import bench
-from npred.lab.stages.evaluate import accuracy, behaviour, coverage, evaluate
+from npred.lab.stages.evaluate import accuracy, behaviour, evaluate
 from npred.lab.stages.generate import generate
 from npred.lab.stages.train import train
 from npred.lab.training import operators
@@ -235,7 +235,7 @@ def test_map_and_coverage_of_known_loops():
     assert found.converged == [[True, True], [True, False]]
     assert found.share == pytest.approx(2 / 3) and found.band == (0.5, 0.5)
     data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))
-    covered = coverage.measure(PLANT, data, {FNO: still(t, far)})
+    covered = behaviour.coverage(PLANT, data, {FNO: still(t, far)})
     assert covered["x1"].json_object() == {"data": [0.0, 1.0], "outside": {"fno": 0.25}}
     assert covered["x2"].outside[FNO] == 0.25 and covered["U"].outside[FNO] == 0.0
 
@@ -246,17 +246,17 @@ def test_an_estimate_at_its_bound_is_covered_by_data_that_come_near_it(low, outs
     t, X = np.linspace(0, 1, 11), np.zeros((4, 11, 2))
     data = dataset(X=np.ones((2, 2)), u=np.zeros(2), D_hat=np.array([low, 1.2]))
     loops = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
-    covered = coverage.measure(PLANT, data, loops, (0.1, 2.0))
+    covered = behaviour.coverage(PLANT, data, loops, (0.1, 2.0))
     assert covered["D_hat"].json_object() == {"data": [low, 1.2], "outside": {"fno": outside}}
     below = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
-    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"].outside[FNO] == 1.0
+    assert behaviour.coverage(PLANT, data, below, (0.1, 2.0))["D_hat"].outside[FNO] == 1.0
 
 
 def test_loops_that_leave_the_data_are_warned_of(evaluated):
     task, result = evaluated
     shares = result["coverage"]["x2"]["outside"]
     warned = [line for line in task.progress.notes if "outside" in line]
-    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > coverage.WARN]
+    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > behaviour.OUTSIDE]
     assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
 
 

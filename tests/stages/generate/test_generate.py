@@ -13,7 +13,7 @@ from npred.base import json_files
 from npred.base.errors import ConfigError, DivergedError
 from npred.lab import config
 from npred.lab.scheduler.executors import Processes
-from npred.lab.stages.generate import generate, sampling, sharded
+from npred.lab.stages.generate import generate, sampling
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import MEANING, Dataset
 from npred.loop.closed_loop import LANES
@@ -151,7 +151,7 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     (folder / ".data-00002.h5-killed").write_bytes(b"half")
     generate.run(broken)
     assert made == [0, 128, 192] and payload(broken.folder) == payload(whole.folder)
-    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{json_files.sha256(whole.folder / shards.name(k))}" for k in range(4))}
+    kept = {generate.TOKEN, *(f"{shards.name(k)}.{json_files.sha256(whole.folder / shards.name(k))}" for k in range(4))}
     assert {path.name for path in folder.iterdir()} == kept
 
 
@@ -170,29 +170,29 @@ def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeyp
     stopped = job(tmp_path, "full", generate=SHARDED)
     with pytest.raises(OSError, match="No space left"):
         generate.run(stopped)
-    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [sharded.TOKEN]
+    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [generate.TOKEN]
 
 
 def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):
     near, far = (job(tmp_path, name, generate=SHARDED) for name in ("near", "far"))
     generate.run(near)
-    monkeypatch.setattr(sharded.ShardFolder, "shared", lambda folder: False)
+    monkeypatch.setattr(generate.ShardFolder, "shared", lambda folder: False)
     generate.run(far)
     assert payload(far.folder) == payload(near.folder)
     assert not [path for path in far.scratch.rglob("*") if path.name.startswith(".data")]
 
 
 def test_a_folder_of_the_same_name_elsewhere_is_not_taken_for_the_same(tmp_path):
-    folder = sharded.ShardFolder(tmp_path, "a")
+    folder = generate.ShardFolder(tmp_path, "a")
     assert not folder.shared()
-    (tmp_path / sharded.TOKEN).write_text("b")
-    assert not folder.shared() and sharded.ShardFolder(tmp_path, "b").shared()
+    (tmp_path / generate.TOKEN).write_text("b")
+    assert not folder.shared() and generate.ShardFolder(tmp_path, "b").shared()
 
 
 def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
     plant = plants.resolve("activator_repressor")
-    assert not sharded.needed(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
-    assert sharded.needed(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
+    assert not generate.sharded(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
+    assert generate.sharded(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
 
 
 @given(st.integers(2, 5000), st.integers(1, 64))

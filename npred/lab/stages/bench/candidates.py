@@ -164,11 +164,10 @@ def _network(job: Job, name: str) -> TrainedOperator:
 
 def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: str) -> list[Candidate]:
     """The methods that reach the error eps of the network `name`, each on the fewest nodes that do."""
-    grids = {rival: matching(reference, kind, eps) for rival, kind in methods.items()}
     return [
-        Candidate(rival, "compiled", nx, 1, methods[rival](reference.plant, nx), name)
-        for rival, nx in grids.items()
-        if nx
+        Candidate(rival, "compiled", nx, 1, kind(reference.plant, nx), name)
+        for rival, kind in methods.items()
+        if (nx := matching(reference, kind, eps))
     ]
 
 
@@ -203,15 +202,16 @@ def matching(reference: Reference, method: Method, eps: float, by: Literal["sup"
 
 def _available(progress: Console, config: Bench) -> list[str]:
     """The runtimes whose packages are installed, with a note of the others."""
-    lacks = {name: [p for p in PACKAGES.get(name, ()) if not installed(p)] for name in config.runtimes}
-    missing = {name: packages for name, packages in lacks.items() if packages}
+    missing = {name: [p for p in PACKAGES.get(name, ()) if not installed(p)] for name in config.runtimes}
     for name, packages in missing.items():
+        if not packages:
+            continue
         if set(config.runtimes) == {name}:
             expected, extra = f"expected the package {packages[0]} for the one runtime {name}, found none", EXTRAS[name]
             cure = f"pip install 'npred[{extra}]', or name fused in [bench] runtimes"
             raise MissingError(f"bench: {expected}; {cure}")
         progress.note(f"bench: no rows of the runtime {name} without {', '.join(packages)}")
-    return [name for name in config.runtimes if name not in missing]
+    return [name for name in config.runtimes if not missing[name]]
 
 
 def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:

@@ -8,7 +8,7 @@ from npred.diagnosis.case import WITHOUT_V
 from npred.lab.config import Pipeline
 from npred.lab.config.results.bench import BreakEven, Crossover
 from npred.lab.report.figures.style import short
-from npred.lab.report.terminal.console import columns
+from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler import pipeline_fit
 from npred.lab.stages.bench import break_even, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference
@@ -87,15 +87,15 @@ def sentence(crossovers: list[Crossover]) -> str:
 
 def summary(result: BreakEven, width: int | None = None) -> str:
     """The assumptions, a table, and the sentence."""
-    rows = [
-        [row.predictor, f"{row.steps}", f"{1 / row.steps:.3g}", f"{row.median_us:.1f}", short(row.eps_sup)]
-        for crossover in result.crossover
-        for row in crossover.numerical
+    rows = [row for crossover in result.crossover for row in crossover.numerical]
+    columns = [
+        Column("predictor", [*(row.predictor for row in rows), result.network]),
+        Column("steps", [*(row.steps for row in rows), None], "d"),
+        Column("dx", [*(1 / row.steps for row in rows), None], ".3g"),
+        Column("µs", [*(row.median_us for row in rows), result.crossover[0].network_us], ".1f"),
+        Column("ε sup", [*(short(row.eps_sup) for row in rows), "not trained"]),
     ]
-    first = result.crossover[0]
-    rows.append([result.network, "", "", f"{first.network_us:.1f}", "not trained"])
-    head = ["predictor", "steps", "dx", "µs", "ε sup"]
     upper, lower = (f"{100 * crossover.eps_relative:.2g} %" for crossover in result.crossover)
     errors = f"{upper} (upper rows) and {lower} (lower rows) of the largest |P|"
     about = f"{result.plant}: the fewest steps with which each method errs by at most {errors}"
-    return "\n".join([about, "", columns(head, rows, width, numbers=head[1:]), "", result.sentence])
+    return "\n".join([about, "", Table("break_even", "Break-even", columns).terminal(width), "", result.sentence])

@@ -1,4 +1,7 @@
-"""Closed loops: where and when they end, which of them converge, and the same under the conditions of scenarios."""
+"""Closed loops: their ends, those that converge, the same under the conditions of scenarios, and coverage by the data.
+
+A network is only reliable where it was trained.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -11,9 +14,10 @@ import numpy as np
 from npred.lab.config import Evaluate
 from npred.lab.config.conditions import EVERY, Condition, Starts, scenarios
 from npred.lab.config.results import NUMERICAL, PredictorId
-from npred.lab.config.results.evaluate import Behaviour, Conditions, DelayMap, Limits, LoopEnd, Radii, Radius
+from npred.lab.config.results.evaluate import Behaviour, Conditions, Coverage, DelayMap, Limits, LoopEnd, Radii, Radius
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.job import Job
+from npred.lab.training.data.dataset import Dataset
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
@@ -21,6 +25,10 @@ from npred.plants import Plant
 from npred.prediction.methods import Predictor
 
 SERIES = ("t", "X", "U", "D_hat", "N")  # of figure1.h5
+MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
+NEAR = 0.05  # of the bounds' width: data that come this close to a bound of D_hat reach it
+OUTSIDE = 0.01  # of a predictor's loop steps
+BINS = 60
 
 
 Overtaken = tuple[int, str]  # number of loops that ended since commands would overtake each other, and where the first
@@ -168,3 +176,47 @@ def run_scenarios(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list
         warn_of_overtaken(job.progress, {c: ended for c, (_, ended) in by_predictor.items()}, scenario.name)
         found.append(Conditions(name=scenario.name, models={c: loops for c, (loops, _) in by_predictor.items()}))
     return found
+
+
+def _quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> dict[str, np.ndarray]:
+    """The values of each state, each input and the delay estimate, flat, without those of diverged loops."""
+    by_name = {name: X[..., k] for k, name in enumerate(plant.states)}
+    by_name |= {name: u[..., k] for k, name in enumerate(plant.inputs)} | {"D_hat": D_hat}
+    return {name: values[np.isfinite(values)] for name, values in by_name.items()}
+
+
+def coverage(
+    plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
+) -> dict[str, Coverage]:
+    """For each quantity its range in the training data, and the share of each predictor's loop steps outside it.
+
+    An estimate at its bound is inside where the data come near that bound: they cannot lie beyond, and what is drawn
+    up to a bound does not meet it.
+    """
+    covered = _quantities(plant, data.X, data.u, data.D_hat)
+    ranges = {name: (float(values.min()), float(values.max())) for name, values in covered.items()}
+    near, ends = NEAR * (bounds[1] - bounds[0]), zip(ranges["D_hat"], bounds, strict=True)
+    reached: dict[str, Any] = {"D_hat": [bound if abs(end - bound) <= near < np.inf else end for end, bound in ends]}
+    outside: dict[str, dict[PredictorId, float]] = {name: {} for name in ranges}
+    for predictor_id, run in loops.items():
+        for name, values in _quantities(plant, run.X, run.U, run.D_hat).items():
+            low, high = reached.get(name, ranges[name])
+            slack = MARGIN * (high - low)
+            outside[name][predictor_id] = float(np.mean((values < low - slack) | (values > high + slack)))
+    return {name: Coverage(data=ranges[name], outside=outside[name]) for name in ranges}
+
+
+def write_coverage(path: Path, plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories]) -> None:
+    """Densities over the data's range as HDF5: by quantity `edges` (BINS + 1,), `data` and `loops/NAME` (BINS,)."""
+    with h5py.File(path, "w") as opened:
+        file: Any = opened
+        for name, values in _quantities(plant, data.X, data.u, data.D_hat).items():
+            slack = MARGIN * np.ptp(values)  # what `coverage` counts as inside is in the picture
+            slack = slack or 0.01 * max(abs(values[0]), 1.0)  # of a delay that is known there is one value
+            edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
+            file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
+        for predictor_id, run in loops.items():
+            for name, values in _quantities(plant, run.X, run.U, run.D_hat).items():
+                edges = file[f"{name}/edges"][:]
+                inside = np.histogram(values, edges)[0] / max(len(values), 1)
+                file[f"{name}/loops/{predictor_id.name}"] = inside / np.diff(edges)

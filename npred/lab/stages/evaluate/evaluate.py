@@ -14,7 +14,7 @@ from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, Evaluated, Predic
 from npred.lab.config.results.evaluate import Coverage, KindErrors, KindSize, Scores
 from npred.lab.report import figures
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.evaluate import accuracy, behaviour, coverage
+from npred.lab.stages.evaluate import accuracy, behaviour
 from npred.lab.stages.report import tables
 from npred.lab.training import operators
 from npred.lab.training.data import shards
@@ -70,10 +70,11 @@ def run(job: Job) -> Evaluated:
             does["figure1_bounded"] = behaviour.end(job.plant, behaviour.figure1(config, bounded[predictor_id]))
         models[predictor_id] = Scores(**errors, kinds=kinds, fresh=new, in_loop=in_loop_errors[predictor_id], **does)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
-    covered = coverage.measure(job.plant, data, {c: loops[c] for c in networks}, bounds)
+    covered = behaviour.coverage(job.plant, data, {c: loops[c] for c in networks}, bounds)
     _warn(job, begin, covered, loops, models)
     behaviour.write_figure1(job.folder / "figure1.h5", config, loops, bounded)
-    coverage.write(job.folder / "coverage.h5", job.plant, data, {c: loops[c] for c in loops if c.epoch is None})
+    final = {c: run for c, run in loops.items() if c.epoch is None}
+    behaviour.write_coverage(job.folder / "coverage.h5", job.plant, data, final)
     result = Evaluated(
         plant=job.plant.name,
         equilibrium=job.plant.equilibrium.tolist() if job.plant.rests else None,
@@ -215,7 +216,7 @@ def _warn(
         elif quantity == "D_hat":
             cure = "widen generate's D_hat0 or narrow bounds"
         for network_id, share in cover.outside.items():
-            if share > coverage.WARN:
+            if share > behaviour.OUTSIDE:
                 low, high = cover.data
                 job.progress.warn(
                     f"{network_id.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "

@@ -174,10 +174,8 @@ def _kept(scores: Scores, exact: Scores) -> int | None:
     return int((np.array(scores.map.converged) & np.array(exact.map.converged)).sum())
 
 
-def certified(result: Certified | None) -> Table | None:
-    """What is known of each network's error of U, and of its loops; None without a certificate."""
-    if result is None:
-        return None
+def certified(result: Certified) -> Table:
+    """Each network's error of U, and its loops."""
     rows = list(result.models.values())
     heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median"}
     counts = {"lost": "lost", "lost_guarded": "guarded"}
