@@ -8,7 +8,7 @@ from result_samples import CROSSOVER, timing
 
 from npred import plants
 from npred.lab.config.results.bench import Crossover
-from npred.lab.stages.bench import break_even, candidates
+from npred.lab.stages.bench import bench, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes
 from npred.prediction.methods import RK4, Euler
 
@@ -21,14 +21,14 @@ def entry(name, runtime, nx, run=None, matches=None):
 
 def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     """1 us a call and 0.1 us an evaluation: 10 steps of RK4 take 5 us, so a network of 9 us pays from 0.2 us on."""
-    monkeypatch.setattr(break_even, "call", lambda reference, run: run)
+    monkeypatch.setattr(bench, "call", lambda reference, run: run)
     networks = {"network": 9.0, "slow": 11.0}
 
     def sample(calls, count, seconds):
         return {name: networks.get(run) or 1.0 + 0.1 * run.evaluations() * (run.nx - 1) for name, run in calls.items()}
 
-    monkeypatch.setattr(break_even.timing, "sample", sample)
-    monkeypatch.setattr(break_even.timing, "quantiles", lambda us: {"median_us": us})
+    monkeypatch.setattr(bench.timing, "sample", sample)
+    monkeypatch.setattr(bench.timing, "quantiles", lambda us: {"median_us": us})
     timed = [
         (entry("deeponet", "torch", 11, "slow"), timing("any", us=11.0, eps_sup=0.02)),
         (entry("deeponet", "fused", 11, "network"), timing("any", us=9.0, eps_sup=0.02)),
@@ -38,7 +38,7 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     ]
     errors = ErrorSizes(0.01, 0.005)
     reference = SimpleNamespace(P=[[-4.0, 2.0]], plant=PLANT, of_method=lambda run, nx: errors)
-    (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
+    (found,) = bench.crossovers(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
     assert (found.predictor, found.runtime, found.best, found.best_steps) == ("deeponet", "fused", "rk4", 10)
     assert [row.predictor for row in found.numerical] == ["rk4", "euler"]
     assert found.eps_relative == pytest.approx(0.005) and found.network_speedup == pytest.approx(5 / 9)
@@ -55,13 +55,13 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 )
 def test_sentence(speedup, words):
     found = Crossover.of(CROSSOVER | {"network_speedup": speedup}, "a test")
-    text = break_even.network_pays(found, None)
-    once = break_even.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}), None)
+    text = bench.network_pays(found, None)
+    once = bench.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}), None)
     assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. By the median" in text
     assert "median error over samples, 3.0·10⁻³, RK4 on 7 steps has the network's in 4.0 µs, 2.5 times as fast." in text
     assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
     assert "on 1 step:" in once
-    assert break_even.network_pays(found.model_copy(update={"pays_from_ns": 0.0}), None).endswith(
+    assert bench.network_pays(found.model_copy(update={"pays_from_ns": 0.0}), None).endswith(
         "A network pays however cheap f is (here 80 ns)."
     )
 
@@ -70,11 +70,11 @@ def test_sentence(speedup, words):
 def test_no_ratio_is_rounded_to_zero(rival_us, words):
     rival = CROSSOVER["by_median"][0] | {"median_us": rival_us}
     found = Crossover.of(CROSSOVER | {"by_median": [rival]}, "a test")
-    assert f" µs, {words}" in break_even.network_pays(found, None)
+    assert f" µs, {words}" in bench.network_pays(found, None)
 
 
 def test_the_sentence_says_at_which_dx_the_network_was_timed():
-    assert "the FNO (fused, dx = 0.005)" in break_even.network_pays(Crossover.of(CROSSOVER, "a test"), 0.005)
+    assert "the FNO (fused, dx = 0.005)" in bench.network_pays(Crossover.of(CROSSOVER, "a test"), 0.005)
 
 
 def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
@@ -98,6 +98,6 @@ def test_a_rival_by_the_median_has_the_steps_that_its_median_error_needs():
             return ErrorSizes(1 / (nx - 1), 0.1 / (nx - 1))
 
     rival = entry("rk4", "compiled", 101, RK4(PLANT, 101), "fno")
-    typical = break_even._by_median(rival, Halved(), 0.01)
+    typical = bench._by_median(rival, Halved(), 0.01)
     assert typical is not None and typical.nx - 1 == 10 == typical.run.nx - 1
-    assert typical.matches == "fno, median" and break_even._by_median(rival, Halved(), 1e-9) is None
+    assert typical.matches == "fno, median" and bench._by_median(rival, Halved(), 1e-9) is None

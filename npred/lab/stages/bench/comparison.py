@@ -11,7 +11,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.notebook import InNotebook
 from npred.lab.report.figures.table import Column, Table
-from npred.lab.stages.bench import break_even, timing
+from npred.lab.stages.bench import bench, timing
 from npred.lab.stages.bench.candidates import PROBES, Reference
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories, simulate
@@ -113,7 +113,7 @@ def compare(
     about = {"X0": X0, "t_end": t_end, "dt": dt, **delays, **loop}
     loops = {name: simulate(plant, run, **about) for name, run in named.items()}
     reference = _reference(plant, about, next(iter(loops.values())))
-    times = timing.sample({name: break_even.call(reference, run) for name, run in named.items()}, CALLS, SECONDS)
+    times = timing.sample({name: bench.call(reference, run) for name, run in named.items()}, CALLS, SECONDS)
     rows = []
     for name, run in named.items():
         eps, target, us = reference.errors(run, run.nx), plant.target(loops[name].t), timing.quantiles(times[name])

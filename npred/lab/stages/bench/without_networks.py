@@ -10,7 +10,7 @@ from npred.lab.config.results.bench import BreakEven, Crossover
 from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler import pipeline_fit
-from npred.lab.stages.bench import break_even, candidates
+from npred.lab.stages.bench import bench, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference
 from npred.lab.stages.generate import sampling
 from npred.lab.training.data.dataset import Dataset
@@ -49,7 +49,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> BreakEven:
         if not rivals:
             todo = f"got {', '.join(methods) or 'none'}; name one in generate"
             raise ConfigError(f"bench: expected a method whose error is {short(eps)}, {todo}")
-        crossovers.append(break_even.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
+        crossovers.append(bench.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
     return BreakEven(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
 
 
@@ -70,7 +70,7 @@ def sentence(crossovers: list[Crossover]) -> str:
     """Whether a network could pay, in words; the errors are in the order of RELATIVE."""
     faster = [c for c in crossovers if c.network_speedup > 1]
     bests = ", ".join(
-        f"{break_even.method_on(c.best, c.best_steps)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers
+        f"{bench.method_on(c.best, c.best_steps)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers
     )
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
     least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {100 * c.eps_relative:.2g} % error)" for c in crossovers)

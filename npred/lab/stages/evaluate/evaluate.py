@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from itertools import chain, zip_longest
+from typing import Any
 
 import numpy as np
 
@@ -43,18 +44,19 @@ def run(job: Job) -> Evaluated:
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, predictors = starts(job.config, job.plant), _predictors(job)
     at_D = accuracy.in_loop(job.config, begin)
-    loops, in_loop_errors = _all_loops(job, predictors, begin, at_D)
-    bounded = _bounded_loops(job, predictors, begin)
+    loops, bounded, in_loop_errors = _all_loops(job, predictors, begin, at_D)
     conditions = {"scenarios": behaviour.run_scenarios(job, predictors)} if config.scenarios else {}
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     held_out = accuracy.held_out(job, data)
     fresh = accuracy.fresh(loops[NUMERICAL].part(begin.cases), taken, predictors[NUMERICAL])
-    networks = {c: _on_any_grid(job, bare(predictors[c])) for c in predictors if c.is_network}
-    P_hat = {
-        network_id: {kind: accuracy.predict(network, rows) for kind, rows in held_out.items()}
-        for network_id, network in networks.items()
-    }
+    networks, P_hat = {}, {}
+    for network_id in filter(lambda each: each.is_network, predictors):
+        # by torch, where it is installed, and so equal up to rounding: the data's grid need not be compiled too
+        network: Any = bare(predictors[network_id])
+        network = runtimes.predictor(None, job.plant, network.operator, network.nx, network.name, job.device)
+        networks[network_id] = network
+        P_hat[network_id] = {kind: accuracy.predict(network, rows) for kind, rows in held_out.items()}
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
     for predictor_id in predictors:
@@ -127,14 +129,6 @@ def load_network(job: Job, network_id: PredictorId) -> Predictor:
     return runtimes.predictor("torch", job.plant, operator, job.config.evaluate.nx, name, job.device)
 
 
-def _on_any_grid(job: Job, network: Predictor) -> Predictor:
-    """The same network, equal up to rounding: by torch, where it is installed, for then the data's grid need not be
-    compiled too.
-    """
-    operator = getattr(network, "operator")  # noqa: B009 - every network's predictor has one
-    return runtimes.predictor(None, job.plant, operator, network.nx, network.name, job.device)
-
-
 def _predictors(job: Job) -> dict[PredictorId, Predictor]:
     config = job.config.evaluate
     exact = numerical(config.predictor, job.plant, config.nx)
@@ -151,8 +145,8 @@ def _predictors(job: Job) -> dict[PredictorId, Predictor]:
 
 def _all_loops(
     job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts, at_D: Condition
-) -> tuple[dict[PredictorId, Trajectories], dict[PredictorId, float]]:
-    """Every predictor's loops, and its prediction error in the loop.
+) -> tuple[dict[PredictorId, Trajectories], dict[PredictorId, Trajectories], dict[PredictorId, float]]:
+    """Every predictor's loops, that of Fig. 1 with U within `figure_bounds` (if any), and its error in the loop.
 
     In threads: kernels and torch let go of the GIL, and networks need not be sent.
     Shares are of fixed size, so that the bytes do not depend on the number of threads: all loops at once where a call
@@ -175,21 +169,13 @@ def _all_loops(
         turns = chain.from_iterable(zip_longest(*shares))  # the time left is of a mean pace
         for c, part in filter(None, turns):
             tasks[c].append(pool.submit(_loops, job, config, c, predictors[c], begin, part, bar.advance))
+        within = {}
+        if (table := config.bounded) is not None:
+            within = {c: pool.submit(_loops, job, table, c, p, begin, slice(0, 1)) for c, p in predictors.items()}
         loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
+        bounded = {c: done.result() for c, done in within.items()}
         errors = {c: done.result() for c, done in checks.items()}
-        return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
-
-
-def _bounded_loops(
-    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts
-) -> dict[PredictorId, Trajectories]:
-    """The loop of Fig. 1 with U within `figure_bounds`, of every predictor; empty without these."""
-    table = job.config.evaluate.bounded
-    if table is None:
-        return {}
-    with job.threads() as pool:
-        tasks = {c: pool.submit(_loops, job, table, c, p, begin, slice(0, 1)) for c, p in predictors.items()}
-        return {c: task.result() for c, task in tasks.items()}
+        return loops, bounded, errors | {NO_ADAPTATION: errors[NUMERICAL]}
 
 
 def _loops(

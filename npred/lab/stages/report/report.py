@@ -29,7 +29,7 @@ from npred.lab.report.figures.notation import symbol
 from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Table
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.bench import bench, break_even
+from npred.lab.stages.bench import bench
 from npred.lab.stages.report import html_page, tables, toml_text
 from npred.loop import metrics
 from npred.plants import Plant
@@ -125,17 +125,25 @@ def run(job: Job) -> Reported:
         for name, title, shown, below in CHAPTERS
         if drawn.keys() & {*shown}
     ]
+    config, plant, hardware = job.config, job.plant, results.benched.hardware
+    parameters = {name: f"{value:g}" for name, value in plant.parameters.items()}
+    data = {"samples": results.generated.samples, "rollouts": results.generated.rollouts}
+    facts = {
+        "Question": {"pipeline": config.name, "seed": config.seed, "plant": plant.name} | parameters | data,
+        "Results": results.keys,
+        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
+    }
     page = html_page.filled(
         html_page.text("page.html"),
-        name=job.config.name,
-        about="; ".join(_about(job.plant, job.config.evaluate)),
+        name=config.name,
+        about="; ".join(_about(plant, config.evaluate)),
         said=text,
         caution=_caution(results),
         chapters=chapters,
         folded=FOLDED,
-        facts=_facts(results),
-        files=job.config.files,
-        settings=toml_text.dumps(job.config.beside().model_dump()),
+        facts=facts,
+        files=config.files,
+        settings=toml_text.dumps(config.beside().model_dump()),
     )
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=text, bytes=len(page.encode()))
@@ -177,26 +185,14 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield f"limits kept by a filter with α = {config.safety.alpha:g}"
     sensors = []
     for key, value in vars(config.measurement).items():
-        unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
-        numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
-        if np.any(value):
+        if np.any(value):  # noise, jitter and drop are shares
+            unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
+            numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
             sensors.append(f"{key} {' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip())
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
         yield "the simulated plant is not the controller's model"
-
-
-def _facts(results: PipelineResults) -> dict[str, dict[str, Any]]:
-    """The origin of the numbers, in three lists: the question, the results' keys, the machine that was timed."""
-    config, plant, hardware = results.config, results.plant, results.benched.hardware
-    parameters = {name: f"{value:g}" for name, value in plant.parameters.items()}
-    data = {"samples": results.generated.samples, "rollouts": results.generated.rollouts}
-    return {
-        "Question": {"pipeline": config.name, "seed": config.seed, "plant": plant.name} | parameters | data,
-        "Results": results.keys,
-        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
-    }
 
 
 def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
@@ -248,7 +244,7 @@ def _speed(benched: Benched) -> str:
         text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
     for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
         dx = bench.timed_dx(benched, crossover)
-        method = break_even.method_on(crossover.best, crossover.best_steps)
+        method = bench.method_on(crossover.best, crossover.best_steps)
         text += (
             f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network"
             f"{'' if dx is None else f' at dx = {dx:.3g}'} in {crossover.network_us:.1f} µs"
