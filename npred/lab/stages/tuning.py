@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -44,8 +44,7 @@ GAIN_FAR = 5.0  # … or, of a gain, by this
 RESAMPLES = 4000
 
 
-@dataclass(frozen=True)
-class Settling:
+class Settling(NamedTuple):
     """Loops from S initial states, K of each: `time`, `effort` and whether each settles, (S, K); see `of`."""
 
     time: np.ndarray
@@ -139,8 +138,7 @@ class Loops:
             changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
             loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
             parts.append(Settling.of(loops, self.plant, self.states, limited=safety is not None))
-        columns = ("time", "effort", "settled")
-        return Settling(*(np.concatenate([getattr(part, name) for part in parts], axis=1) for name in columns))
+        return Settling(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from result_samples import BENCHED, CROSSOVER, timing
 
 from npred.lab.config.results import NUMERICAL, Benched, PredictorId
+from npred.lab.config.results.bench import Crossover
 from npred.lab.stages.bench import bench
 
 ROWS = [
@@ -15,7 +16,8 @@ ROWS = [
     timing("euler", "compiled", 0.125, 0.7, matches="deeponet"),
     timing("euler", "compiled", 0.25, 0.5, matches="front", eps_sup=None),
 ]
-RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER]}, "a test")
+SENTENCE = bench.network_pays(Crossover.of(CROSSOVER, "a test"))
+RESULT = Benched.of(BENCHED | {"rows": ROWS, "crossover": [CROSSOVER | {"sentence": SENTENCE}]}, "a test")
 
 
 def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
@@ -24,13 +26,6 @@ def test_the_summary_fits_80_columns_and_leaves_out_what_only_a_figure_needs():
     assert lines[2].split() == ["predictor", "dx", "batch", "median", "µs", "ε", "sup", "ε", "median"]
     assert len([line for line in lines if line.startswith("Euler")]) == 1
     assert lines[-2].startswith("For arm at ε = 0.02 ") and lines[-1] == "The machine stops."
-
-
-def test_the_dx_of_a_break_even_is_that_of_the_row_with_its_error():
-    rows = [timing("fno", "fused", dx, eps_sup=eps) for dx, eps in ((0.01, 0.02), (0.001, 0.03))]
-    (crossover,) = RESULT.crossover
-    assert bench.timed_dx(RESULT.model_copy(update={"rows": rows}), crossover) == 0.01
-    assert bench.timed_dx(RESULT, crossover) is None
 
 
 def test_the_details_have_every_row_with_its_tails_and_ratios():

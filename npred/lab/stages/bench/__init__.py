@@ -5,7 +5,7 @@ from typing import Any
 from npred.base import registry
 from npred.lab.scheduler.declaration import Slices, Stage
 
-STAGE = Stage(__name__, version=12, upstream=("generate", "train"), result_class="npred.lab.config.results:Benched")
+STAGE = Stage(__name__, version=13, upstream=("generate", "train"), result_class="npred.lab.config.results:Benched")
 
 
 def key(slices: Slices) -> dict[str, Any]:

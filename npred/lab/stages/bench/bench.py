@@ -81,22 +81,18 @@ def _times(job: Job, config: Bench, entries: list[Candidate]) -> dict[str, np.nd
 
 def _rows(entries: list[Candidate], times: dict[str, np.ndarray], errors: dict[str, ErrorSizes]) -> list[CallTimes]:
     """A row of each entry, with its speed-up by medians over the published predictor and compiled Euler at that dx."""
-    rows = [
-        CallTimes(
-            predictor=entry.predictor, runtime=entry.runtime, dx=1 / (entry.nx - 1), batch=entry.batch,
-            matches=entry.matches, device=entry.device, copies=entry.copies, calls=len(times[entry.label]),
-            **timing.quantiles(times[entry.label]), eps_sup=errors[entry.label].sup,
-            eps_median=errors[entry.label].median,
-        )
-        for entry in entries
-    ]  # fmt: skip
-    medians = {(r.predictor, r.dx, r.batch): r.median_us for r in reversed(rows) if r.matches is None}
-    compared = []
-    for row in rows:
-        over = {base: medians.get((base, row.dx, row.batch)) for base in ("published", "euler")}
-        published, compiled = (base and base / row.median_us for base in over.values())
-        compared.append(row.model_copy(update={"speedup_published": published, "speedup_compiled": compiled}))
-    return compared
+    us = {label: timing.quantiles(nanoseconds) for label, nanoseconds in times.items()}
+    bases = {(e.predictor, e.nx, e.batch): us[e.label]["median_us"] for e in reversed(entries) if e.matches is None}
+    rows = []
+    for e in entries:
+        over = [bases.get((base, e.nx, e.batch)) for base in ("published", "euler")]
+        published, compiled = (base and base / us[e.label]["median_us"] for base in over)
+        rows.append(CallTimes(
+            predictor=e.predictor, runtime=e.runtime, dx=1 / (e.nx - 1), batch=e.batch, matches=e.matches,
+            device=e.device, copies=e.copies, calls=len(times[e.label]), **us[e.label], eps_sup=errors[e.label].sup,
+            eps_median=errors[e.label].median, speedup_published=published, speedup_compiled=compiled,
+        ))  # fmt: skip
+    return rows
 
 
 def summary(result: Benched, width: int | None = None) -> str:
@@ -115,14 +111,8 @@ def _text(result: Benched, table: str) -> str:
 
 
 def sentences(result: Benched) -> list[str]:
-    """One sentence per network, when it pays; then one on the machine. They are put anew, as results keep old words."""
-    return [*(network_pays(row, timed_dx(result, row)) for row in result.crossover), result.stops.sentence]
-
-
-def timed_dx(result: Benched, crossover: Crossover) -> float | None:
-    """The dx of the network's call in a crossover; None where no row of the benchmark is that call."""
-    call = (crossover.predictor, crossover.runtime, crossover.eps_sup)
-    return next((row.dx for row in result.table if (row.predictor, row.runtime, row.eps_sup) == call), None)
+    """One sentence per network, when it pays; then one on the machine."""
+    return [*(row.sentence for row in result.crossover), result.stops.sentence]
 
 
 def fastest(result: Benched, numerical: str) -> dict[PredictorId, float]:
@@ -198,13 +188,13 @@ def crossover(
 
     overhead = max(best_us - f_ns * evaluations / 1000, 0.0)
     measured = Crossover(
-        plant=plant.name, predictor=network.predictor, runtime=network.runtime, eps_sup=eps.sup,
-        eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
+        plant=plant.name, predictor=network.predictor, runtime=network.runtime, dx=1 / (network.nx - 1),
+        eps_sup=eps.sup, eps_relative=eps.sup / float(np.abs(reference.P).max()), eps_median=eps.median,
         network_us=network_us, numerical=equivalent(methods), by_median=equivalent(typical),
         best=best.predictor, best_steps=best.nx - 1, best_us=best_us, network_speedup=best_us / network_us,
         f_ns=f_ns, pays_from_ns=1000 * max(network_us - overhead, 0.0) / evaluations,
     )  # fmt: skip
-    return measured.model_copy(update={"sentence": network_pays(measured, 1 / (network.nx - 1))})
+    return measured.model_copy(update={"sentence": network_pays(measured)})
 
 
 def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
@@ -236,11 +226,10 @@ def call(reference: Reference, run: Predictor) -> Callable[[int], None]:
     return checked
 
 
-def network_pays(crossover: Crossover, dx: float | None) -> str:
-    """The break-even of a network in a sentence; `dx` is the grid of its call, None where it is not known."""
+def network_pays(crossover: Crossover) -> str:
+    """The break-even of a network in a sentence."""
     numerical, ratio = method_on(crossover.best, crossover.best_steps), crossover.network_speedup
-    grid = "" if dx is None else f", dx = {dx:.3g}"
-    network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime}{grid})"
+    network = f"the {NETWORKS.label(crossover.predictor)} ({crossover.runtime}, dx = {crossover.dx:.3g})"
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
     slower = [row for row in crossover.numerical if row.predictor != crossover.best]
     others = "".join(f", {method_on(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in slower)

@@ -243,11 +243,10 @@ def _speed(benched: Benched) -> str:
     if row.speedup_published is not None:  # inputs with several delays have no published predictor
         text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
     for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
-        dx = bench.timed_dx(benched, crossover)
         method = bench.method_on(crossover.best, crossover.best_steps)
         text += (
             f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network"
-            f"{'' if dx is None else f' at dx = {dx:.3g}'} in {crossover.network_us:.1f} µs"
+            f" at dx = {crossover.dx:.3g} in {crossover.network_us:.1f} µs"
         )
     return f"{text}."
 
