@@ -33,7 +33,7 @@ from npred.plants import Plant
 from npred.prediction.methods import numerical
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
-ALPHA = "safety.alpha"  # of the safety filter, likewise
+ALPHA = "safety.alpha"  # the number of the safety filter, likewise
 LETTERS = ("Q", "R")  # weights of kappa = "lqr"
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
@@ -307,7 +307,7 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
         def outcome(numbers: Mapping[str, float]) -> Settling:
             try:
                 return loops.run(numbers, bar.advance)
-            except ConfigError as error:  # of a law without an equilibrium
+            except ConfigError as error:  # a law without an equilibrium
                 console.detail(f"tune: {said(numbers)}: {error}")
                 return Settling.failed(training, loops.conditions[0].t_end)
 

@@ -21,6 +21,6 @@ def key(slices: Slices) -> dict[str, Any]:
 
     loops = {name: value for name, value in slices.loop("evaluate").items() if name not in NO_LOOPS_OF_IT}
     tables = {"certify": table(slices.config.optional("certify")), "evaluate": loops}
-    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]  # of packages
+    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]  # by packages
     tables |= {"generate": slices.loop("generate"), "certificates": searches}
     return tables | slices.networks | slices.box

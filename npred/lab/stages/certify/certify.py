@@ -1,4 +1,4 @@
-"""The certify stage: what is known of a network's error, by fresh rollouts, in loops, and by what packages search."""
+"""The certify stage: the error of a network in fresh rollouts, in loops, and in the searches of packages."""
 
 from typing import Any
 
@@ -73,7 +73,7 @@ def summary(result: Certified, width: int | None = None) -> str:
     about = (
         f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "
         f"confidence of {first.confidence:.4%} at most {first.probability:.2%} of rollouts so sampled have an error of "
-        f"U, in its largest component, above ε κ\n"
+        f"U, in its largest component, above ε_κ\n"
         f"{result.loops} loops, {result.lost_numerical} lost with the numerical predictor; tolerance "
         f"{first.tolerance:g}"
     )

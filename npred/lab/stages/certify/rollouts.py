@@ -78,7 +78,7 @@ def judged(
     guard: Guarded, exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any = 0.0,
     *, nearest: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Of each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
+    """For each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
 
     With `nearest` it is by the nearer of two readings of u, that of `exact` and straight lines through the nodes: what
     the nodes do not say is no error of the network. An error that is not a number is infinite.

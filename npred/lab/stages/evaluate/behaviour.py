@@ -24,10 +24,10 @@ from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
 
-SERIES = ("t", "X", "U", "D_hat", "N")  # of figure1.h5
-MARGIN = 1e-3  # of a quantity's range: beyond it a loop is outside
-NEAR = 0.05  # of the bounds' width: data that come this close to a bound of D_hat reach it
-OUTSIDE = 0.01  # of a predictor's loop steps
+SERIES = ("t", "X", "U", "D_hat", "N")  # in figure1.h5
+MARGIN = 1e-3  # share of a quantity's range: beyond it a loop is outside
+NEAR = 0.05  # share of the bounds' width: data that come this close to a bound of D_hat reach it
+OUTSIDE = 0.01  # share of a predictor's loop steps outside the data, above which a line warns
 BINS = 60
 
 
@@ -212,7 +212,7 @@ def write_coverage(path: Path, plant: Plant, data: Dataset, loops: Mapping[Predi
         file: Any = opened
         for name, values in _quantities(plant, data.X, data.u, data.D_hat).items():
             slack = MARGIN * np.ptp(values)  # what `coverage` counts as inside is in the picture
-            slack = slack or 0.01 * max(abs(values[0]), 1.0)  # of a delay that is known there is one value
+            slack = slack or 0.01 * max(abs(values[0]), 1.0)  # a delay that is known has one value
             edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
             file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
         for predictor_id, run in loops.items():

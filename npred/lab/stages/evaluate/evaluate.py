@@ -1,4 +1,4 @@
-"""The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
+"""The evaluate stage: errors on held-out rows of each kind, closed loops, and the certificate of both."""
 
 from collections.abc import Callable, Mapping
 from itertools import chain, zip_longest
