@@ -314,14 +314,14 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
         def costs(asked: list[dict[str, float]]) -> list[float]:
             nonlocal best, tried
             outcomes = list(pool.map(outcome, asked))
-            found = [float(yardstick.costs(each).mean()) for each in outcomes]
-            tried += len(found)
-            k = int(np.argmin(found))
-            if found[k] < best.cost:
+            mean_costs = [float(yardstick.costs(each).mean()) for each in outcomes]
+            tried += len(mean_costs)
+            k = int(np.argmin(mean_costs))
+            if mean_costs[k] < best.cost:
                 judged = judges.run(asked[k], lambda steps: interruption.check())
-                best = _Best(asked[k], found[k], outcomes[k], judged)
-                console.detail(f"tune: cost {found[k]:.4g} after {tried}: {said(asked[k])}")
-            return found
+                best = _Best(asked[k], mean_costs[k], outcomes[k], judged)
+                console.detail(f"tune: cost {mean_costs[k]:.4g} after {tried}: {said(asked[k])}")
+            return mean_costs
 
         try:
             _search(ranges, costs, table.evaluations, randomness.generator(pipeline.seed, "tune", "search"))

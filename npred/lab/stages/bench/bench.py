@@ -146,15 +146,15 @@ def crossovers(job: Job, timed: Iterable[tuple[Candidate, CallTimes]], reference
         if entry.batch == 1 and entry.device == "cpu" and row.eps_sup and isfinite(row.eps_sup)
     ]
     first = grid.count(job.config.bench.dx[0])
-    found = []
+    break_evens = []
     for name in sorted(set(job.config.train.models)):
         timings = [(e, row) for e, row in single if (e.predictor, e.nx, e.matches) == (name, first, None)]
         methods = [entry for entry, _ in single if entry.matches == name]
         if timings and methods:
             network, row = min(timings, key=lambda pair: pair[1].median_us)
             eps = ErrorSizes(row.eps_sup, row.eps_median)
-            found.append(crossover(job.config.bench, network, eps, methods, reference))
-    return found
+            break_evens.append(crossover(job.config.bench, network, eps, methods, reference))
+    return break_evens
 
 
 def crossover(

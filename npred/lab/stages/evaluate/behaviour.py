@@ -171,11 +171,11 @@ def run_scenarios(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list
     with job.progress.bar("scenarios", steps, "steps") as bar, job.threads() as pool:
         tasks = [{c: pool.submit(does, each, p) for c, p in compared.items()} for each in conditions]
         results = [{c: task.result() for c, task in by_predictor.items()} for by_predictor in tasks]
-    found = []
+    outcomes = []
     for scenario, by_predictor in zip(config.scenarios, results, strict=True):
         warn_of_overtaken(job.progress, {c: ended for c, (_, ended) in by_predictor.items()}, scenario.name)
-        found.append(Conditions(name=scenario.name, models={c: loops for c, (loops, _) in by_predictor.items()}))
-    return found
+        outcomes.append(Conditions(name=scenario.name, models={c: loops for c, (loops, _) in by_predictor.items()}))
+    return outcomes
 
 
 def _quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> dict[str, np.ndarray]:
