@@ -20,7 +20,7 @@ from npred import plants
 from npred.base import grid
 from npred.base.registry import METHODS
 from npred.lab import config
-from npred.lab.stages.generate import rollouts
+from npred.lab.stages.generate import sampling
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method
 
@@ -45,9 +45,9 @@ def main() -> None:
     refusal = problem_of(plant).refusal
     kinds = [name for name in METHODS.names() if issubclass(method(name), OneStep) and not refusal(name)]
 
-    def made(name: str) -> rollouts.Columns:
+    def made(name: str) -> sampling.Columns:
         changed = few.model_copy(update={"predictor": name})
-        return rollouts.rows(pipeline.model_copy(update={"generate": changed}), plant, range(count), finite=False)
+        return sampling.rows(pipeline.model_copy(update={"generate": changed}), plant, range(count), finite=False)
 
     rows = made(table.predictor)
     X, u, D_hat, t = (rows[key] for key in ("X", "u", "D_hat", "t"))

@@ -157,12 +157,12 @@ def loop(lanes: int) -> Call:
 def generate() -> Call:
     from npred import plants
     from npred.lab import config
-    from npred.lab.stages.generate import rollouts
+    from npred.lab.stages.generate import sampling
 
     pipeline, plant = config.parse({"plant": "activator_repressor"}, "paired"), plants.resolve("activator_repressor")
     table = pipeline.generate.model_copy(update={"rollouts": 20, "samples": 2000})
     pipeline = pipeline.model_copy(update={"generate": table})
-    return lambda: rollouts.rows(pipeline, plant, range(20))
+    return lambda: sampling.rows(pipeline, plant, range(20))
 
 
 def cold() -> Call:

@@ -16,8 +16,7 @@ from npred import plants
 from npred.base import progress
 from npred.lab import config
 from npred.lab.config import Tune
-from npred.lab.stages.tuning.cost import Loops, Yardstick
-from npred.lab.stages.tuning.tune import gained, said, tune
+from npred.lab.stages.tuning import Loops, Yardstick, gained, said, tune
 
 SETS = {  # pipeline: what is set in it
     "paper": ["evaluate.t_end=40.0", "evaluate.case_t_end=40.0"],

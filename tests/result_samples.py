@@ -19,7 +19,8 @@ HARDWARE = {"cpu": "A processor with a long name, 2.70 GHz", "cores": 2, "device
 STOPS = {"per_s": 0.0, "median_us": 0.0, "sentence": "The machine stops."}
 BENCHED = {"rows": [], "calls": 20_000, "crossover": [], "stops": STOPS, "hardware": HARDWARE}
 CROSSOVER = {
-    "plant": "arm", "predictor": "fno", "runtime": "fused", "eps_sup": 0.02, "eps_relative": 0.01, "eps_median": 3e-3,
+    "plant": "arm", "predictor": "fno", "runtime": "fused", "dx": 0.005, "eps_sup": 0.02, "eps_relative": 0.01,
+    "eps_median": 3e-3,
     "network_us": 10.0, "numerical": [{"predictor": "rk4", "steps": 10, "median_us": 5.0, "eps_sup": 0.01,
     "eps_median": 1e-3}, {"predictor": "euler", "steps": 99, "median_us": 9.0, "eps_sup": 0.02, "eps_median": 4e-3}],
     "by_median": [{"predictor": "rk4", "steps": 7, "median_us": 4.0, "eps_sup": 0.03, "eps_median": 2e-3}],

@@ -86,7 +86,7 @@ def report(
         _work(options, "report", output=output)
         return
     from npred import plants
-    from npred.lab.stages.report.report_data import PipelineResults
+    from npred.lab.stages.report.report import PipelineResults
 
     if figures not in MEDIA:
         raise ConfigError(unlisted("--figures", figures, MEDIA))
@@ -94,7 +94,7 @@ def report(
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
     plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
-    results = PipelineResults.read(options.config, plant, folders)
+    results = PipelineResults(options.config, plant, folders)
     with room_on_disk(folder):
         files = write_figures(results, folder, MEDIA[figures])
         if output is None:
@@ -144,11 +144,11 @@ def _work(options: Work, stage: str | None, model: str | None = None, output: Pa
         return
     lines = [_table(options, outcomes)] if options.wide else []
     if stage is None and not options.wide:  # the report's sentences, and a table of the predictors
-        from npred.lab.stages.bench import timing_tables
+        from npred.lab.stages.bench import bench
         from npred.lab.stages.report import tables
 
         folders = {outcome.node.stage: outcome.artifact.folder for outcome in outcomes}
-        times = timing_tables.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
+        times = bench.fastest(Benched.read(folders["bench"]), options.config.evaluate.predictor)
         table = tables.predictors(Evaluated.read(folders["evaluate"]), times).terminal(options.console.width)
         lines.append("\n\n".join([*Reported.read(folders["report"]).summary, table]) + "\n")
     else:

@@ -18,7 +18,7 @@ from npred.lab.scheduler.runner import Outcome
 
 if TYPE_CHECKING:
     from npred.lab.report.figures.style import Style
-    from npred.lab.stages.report.report_data import PipelineResults
+    from npred.lab.stages.report.report import PipelineResults
 
 NAME = "report.html"  # in a result
 SIGNATURE = "pipeline.txt"  # in a folder of figures or tables: the pipeline file that they are of

@@ -14,8 +14,8 @@ from npred.lab.config.section import map_paths
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import columns
 from npred.lab.stages.report import toml_text
-from npred.lab.stages.tuning.cost import ALPHA, LAW, LqrWeights
-from npred.lab.stages.tuning.tune import tune as search
+from npred.lab.stages.tuning import ALPHA, LAW, LqrWeights
+from npred.lab.stages.tuning import tune as search
 from npred.plants import Plant
 
 

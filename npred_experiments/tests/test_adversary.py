@@ -95,9 +95,9 @@ def test_calls_have_the_delay_that_the_plant_declares_at_their_states_and_times(
 
 def test_the_gradient_climbs_through_a_network(certified):
     (task, _), _, data = certified
-    from npred.lab.stages.evaluate import networks
+    from npred.lab.stages.evaluate.evaluate import load_network
 
-    network = networks.load(task, PredictorId("deeponet"))
+    network = load_network(task, PredictorId("deeponet"))
     inputs = Inputs.of(data, np.array([PLANT.box[name] for name in PLANT.states]))
     table = Certify(restarts=12, steps=40)
     calls, error = adversary.search(PLANT, network, data, inputs, table, 0, lambda n: None)

@@ -22,7 +22,7 @@ from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.diagnosis import Case
 from npred.lab.scheduler.configuration import identity
-from npred.lab.stages.tuning.cost import LqrWeights
+from npred.lab.stages.tuning import LqrWeights
 from npred.laws.design import MOMENTS, SPAN, Design
 from npred.laws.regulator import riccati
 from npred.plants import Plant

@@ -18,8 +18,8 @@ from npred.base.errors import MissingError
 from npred.lab import config
 from npred.lab.config.results import Benched, Evaluated, PredictorId
 from npred.lab.config.results.bench import Stops
-from npred.lab.stages.bench import bench, timing_tables
-from npred.lab.stages.evaluate import accuracy, behaviour, coverage, evaluate
+from npred.lab.stages.bench import bench
+from npred.lab.stages.evaluate import accuracy, behaviour, evaluate
 from npred.lab.stages.generate import generate
 from npred.lab.stages.train import train
 from npred.lab.training.data import shards
@@ -47,7 +47,7 @@ def evaluated(made, tmp_path_factory):
     return task, evaluate.run(task).json_object()
 
 
-def test_every_contender_is_there(evaluated):
+def test_every_predictor_is_there(evaluated):
     _, result = evaluated
     assert list(result["models"]) == ["numerical", "no_adaptation", "deeponet@1", "deeponet", "fno"]
     for row in result["models"].values():
@@ -142,7 +142,7 @@ def test_a_fresh_row_whose_input_is_lost_before_its_state_is_left_out():
     u = np.zeros((2, 3, 5, 1))
     u[1, 2, -1] = np.nan
     loops: Any = types.SimpleNamespace(samples=Samples(np.ones((2, 3, 1)), u, np.full((2, 3), 0.4)))
-    rows = accuracy.Labelled.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
+    rows = accuracy.fresh(loops, np.zeros((2, 3)), RK4(plants.resolve("scalar"), 5))
     assert len(rows.X) == 5 and np.isfinite(rows.P).all()
 
 
@@ -223,7 +223,7 @@ def test_evaluation_gives_the_same_bytes_again(evaluated, made, tmp_path):
 
 
 def test_map_and_coverage_of_known_loops():
-    """Three loops at rest and one far away; the reference loses one that the contender brings home."""
+    """Three loops at rest and one far away; the reference loses one that the other one keeps."""
     t, rest = np.linspace(0, 1, 11), np.tile(PLANT.equilibrium, (4, 11, 1))
     far = rest.copy()
     far[3] += 10.0
@@ -234,7 +234,7 @@ def test_map_and_coverage_of_known_loops():
     assert found.converged == [[True, True], [True, False]]
     assert found.share == pytest.approx(2 / 3) and found.band == (0.5, 0.5)
     data = dataset(X=np.array([[0.0, 0.0], [1.0, 10.0]]), u=np.array([-1.0, 1.0]), D_hat=np.array([0.0, 2.0]))
-    covered = coverage.measure(PLANT, data, {FNO: still(t, far)})
+    covered = behaviour.coverage(PLANT, data, {FNO: still(t, far)})
     assert covered["x1"].json_object() == {"data": [0.0, 1.0], "outside": {"fno": 0.25}}
     assert covered["x2"].outside[FNO] == 0.25 and covered["U"].outside[FNO] == 0.0
 
@@ -245,17 +245,17 @@ def test_an_estimate_at_its_bound_is_covered_by_data_that_come_near_it(low, outs
     t, X = np.linspace(0, 1, 11), np.zeros((4, 11, 2))
     data = dataset(X=np.ones((2, 2)), u=np.zeros(2), D_hat=np.array([low, 1.2]))
     loops = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1))}
-    covered = coverage.measure(PLANT, data, loops, (0.1, 2.0))
+    covered = behaviour.coverage(PLANT, data, loops, (0.1, 2.0))
     assert covered["D_hat"].json_object() == {"data": [low, 1.2], "outside": {"fno": outside}}
     below = {FNO: dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.05))}
-    assert coverage.measure(PLANT, data, below, (0.1, 2.0))["D_hat"].outside[FNO] == 1.0
+    assert behaviour.coverage(PLANT, data, below, (0.1, 2.0))["D_hat"].outside[FNO] == 1.0
 
 
 def test_loops_that_leave_the_data_are_warned_of(evaluated):
     task, result = evaluated
     shares = result["coverage"]["x2"]["outside"]
     warned = [line for line in task.progress.notes if "outside" in line]
-    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > coverage.WARN]
+    loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > behaviour.OUTSIDE]
     assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
 
 
@@ -352,11 +352,11 @@ def test_bench_says_from_where_on_a_network_pays(benched):
 
 def test_bench_says_what_of_the_tails_is_the_machines(benched):
     found = benched[1]["stops"]
-    assert found["per_s"] >= 0 and found["sentence"] == timing_tables.stopped(Stops.of(found, "a test"))
-    told = timing_tables.stopped(Stops(per_s=400.0, median_us=38.2))
+    assert found["per_s"] >= 0 and found["sentence"] == bench.stopped(Stops.of(found, "a test"))
+    told = bench.stopped(Stops(per_s=400.0, median_us=38.2))
     assert "400 times per second, for 38 µs in the median: from 2.5 µs per call on" in told
-    assert "did not stop" in timing_tables.stopped(Stops(per_s=0.0, median_us=0.0))
-    assert timing_tables.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
+    assert "did not stop" in bench.stopped(Stops(per_s=0.0, median_us=0.0))
+    assert bench.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 
 from npred import plants
 from npred.lab import config
-from npred.lab.stages.tuning.cost import Loops, Yardstick
+from npred.lab.stages.tuning import Loops, Yardstick
 from npred.plants import Plant
 
 DT, EFFORT = 0.005, 0.1

@@ -16,8 +16,7 @@ from npred.kernels import compiler
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
-from npred.lab.stages.tuning.cost import Loops, LqrWeights, Yardstick, varied
-from npred.lab.stages.tuning.tune import tune
+from npred.lab.stages.tuning import Loops, LqrWeights, Yardstick, tune, varied
 from npred.plants import Plant
 
 PLANT = """

@@ -16,8 +16,7 @@ from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
 from npred.lab.report.terminal.console import Console
-from npred.lab.stages.tuning.cost import Loops, Settling, Yardstick, gains
-from npred.lab.stages.tuning.tune import gained, tune
+from npred.lab.stages.tuning import Loops, Settling, Yardstick, gained, gains, tune
 
 PLANT = """
 class Line:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:  # pydantic comes with these, which `npred --help` has no use 
     from npred.lab.config.results import Result
     from npred.lab.scheduler.configuration import Slices
     from npred.lab.scheduler.job import Job
+else:
+    Slices = Any
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class Stage:
         """The model of its table, of an optional stage."""
         return registry.attribute(self.table_class)
 
-    def key(self, slices: "Slices") -> dict[str, Any]:
+    def key(self, slices: Slices) -> dict[str, Any]:
         """The slice of the configuration that its key holds, plant and seed aside."""
         return self._home("key").key(slices)
 

@@ -8,7 +8,7 @@ from result_samples import CROSSOVER, timing
 
 from npred import plants
 from npred.lab.config.results.bench import Crossover
-from npred.lab.stages.bench import break_even, candidates, timing_tables
+from npred.lab.stages.bench import bench, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes
 from npred.prediction.methods import RK4, Euler
 
@@ -21,14 +21,14 @@ def entry(name, runtime, nx, run=None, matches=None):
 
 def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     """1 us a call and 0.1 us an evaluation: 10 steps of RK4 take 5 us, so a network of 9 us pays from 0.2 us on."""
-    monkeypatch.setattr(break_even, "call", lambda reference, run: run)
+    monkeypatch.setattr(bench, "call", lambda reference, run: run)
     networks = {"network": 9.0, "slow": 11.0}
 
     def sample(calls, count, seconds):
         return {name: networks.get(run) or 1.0 + 0.1 * run.evaluations() * (run.nx - 1) for name, run in calls.items()}
 
-    monkeypatch.setattr(break_even.timing, "sample", sample)
-    monkeypatch.setattr(break_even.timing, "quantiles", lambda us: {"median_us": us})
+    monkeypatch.setattr(bench.timing, "sample", sample)
+    monkeypatch.setattr(bench.timing, "quantiles", lambda us: {"median_us": us})
     timed = [
         (entry("deeponet", "torch", 11, "slow"), timing("any", us=11.0, eps_sup=0.02)),
         (entry("deeponet", "fused", 11, "network"), timing("any", us=9.0, eps_sup=0.02)),
@@ -38,13 +38,8 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     ]
     errors = ErrorSizes(0.01, 0.005)
     reference = SimpleNamespace(P=[[-4.0, 2.0]], plant=PLANT, of_method=lambda run, nx: errors)
-    (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
-    assert (found.predictor, found.runtime, found.best, found.best_steps) == (
-        "deeponet",
-        "fused",
-        "rk4",
-        10,
-    )
+    (found,) = bench.crossovers(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
+    assert (found.predictor, found.runtime, found.best, found.best_steps) == ("deeponet", "fused", "rk4", 10)
     assert [row.predictor for row in found.numerical] == ["rk4", "euler"]
     assert found.eps_relative == pytest.approx(0.005) and found.network_speedup == pytest.approx(5 / 9)
     assert found.f_ns == pytest.approx(100) and found.best_us == pytest.approx(5.0)
@@ -56,23 +51,20 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     [
         (
             0.5,
-            "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused): the network takes 10.0 µs, RK4 on",
+            "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused, dx = 0.005): the network takes 10.0 µs, RK4 on",
         ),
-        (
-            4.0,
-            "is the FNO (fused), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4",
-        ),
+        (4.0, "is the FNO (fused, dx = 0.005), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4"),
     ],
 )
 def test_sentence(speedup, words):
     found = Crossover.of(CROSSOVER | {"network_speedup": speedup}, "a test")
-    text = timing_tables.network_pays(found, None)
-    once = timing_tables.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}), None)
+    text = bench.network_pays(found)
+    once = bench.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}))
     assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. By the median" in text
     assert "median error over samples, 3.0·10⁻³, RK4 on 7 steps has the network's in 4.0 µs, 2.5 times as fast." in text
     assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
     assert "on 1 step:" in once
-    assert timing_tables.network_pays(found.model_copy(update={"pays_from_ns": 0.0}), None).endswith(
+    assert bench.network_pays(found.model_copy(update={"pays_from_ns": 0.0})).endswith(
         "A network pays however cheap f is (here 80 ns)."
     )
 
@@ -81,11 +73,7 @@ def test_sentence(speedup, words):
 def test_no_ratio_is_rounded_to_zero(rival_us, words):
     rival = CROSSOVER["by_median"][0] | {"median_us": rival_us}
     found = Crossover.of(CROSSOVER | {"by_median": [rival]}, "a test")
-    assert f" µs, {words}" in timing_tables.network_pays(found, None)
-
-
-def test_the_sentence_says_at_which_dx_the_network_was_timed():
-    assert "the FNO (fused, dx = 0.005)" in timing_tables.network_pays(Crossover.of(CROSSOVER, "a test"), 0.005)
+    assert f" µs, {words}" in bench.network_pays(found)
 
 
 def test_equal_accuracy_is_not_taken_from_one_lucky_grid():
@@ -109,6 +97,6 @@ def test_a_rival_by_the_median_has_the_steps_that_its_median_error_needs():
             return ErrorSizes(1 / (nx - 1), 0.1 / (nx - 1))
 
     rival = entry("rk4", "compiled", 101, RK4(PLANT, 101), "fno")
-    typical = break_even._by_median(rival, Halved(), 0.01)
+    typical = bench._by_median(rival, Halved(), 0.01)
     assert typical is not None and typical.nx - 1 == 10 == typical.run.nx - 1
-    assert typical.matches == "fno, median" and break_even._by_median(rival, Halved(), 1e-9) is None
+    assert typical.matches == "fno, median" and bench._by_median(rival, Halved(), 1e-9) is None

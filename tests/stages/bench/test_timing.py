@@ -1,4 +1,4 @@
-"""Timing: every call is taken, contenders take turns, the collector is given back."""
+"""Timing: every call is taken, predictors take turns, the collector is given back."""
 
 import gc
 import itertools
@@ -11,7 +11,7 @@ import pytest
 from npred.lab.stages.bench import timing
 
 
-def test_each_contender_is_called_in_turn_and_every_call_counted():
+def test_each_predictor_is_called_in_turn_and_every_call_counted():
     log, told = [], []
     calls = {name: (lambda k, name=name: log.append((name, k))) for name in ("a", "b")}
     times = timing.sample(calls, 25, 60.0, told.append)
@@ -24,7 +24,7 @@ def test_each_contender_is_called_in_turn_and_every_call_counted():
         assert set(range(25)) == {k for n, k in log if n == name}
 
 
-def test_a_slow_contender_has_fewer_calls_but_some():
+def test_a_slow_predictor_has_fewer_calls_but_some():
     calls = {"slow": lambda k: time.sleep(0.002), "quick": lambda k: None}
     times = timing.sample(calls, 400, 0.01)
     assert len(times["slow"]) == timing.LEAST < len(times["quick"]) == 400

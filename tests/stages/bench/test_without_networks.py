@@ -15,6 +15,7 @@ from npred.lab import config
 from npred.lab.config.results.bench import Crossover
 from npred.lab.stages.bench import without_networks
 from npred.lab.stages.bench.candidates import Reference
+from npred.lab.stages.generate import sampling
 from npred.networks.fused import Fused
 from npred.networks.weights import untrained
 from npred.prediction.methods import RK4, method
@@ -162,11 +163,9 @@ def test_a_plant_without_V_runs_its_own_law_unless_that_takes_one(monkeypatch, a
         def kappa(x, t, p, M):
             return [-10 * M.sin(x.theta) - 4 * x.theta - 4 * x.omega]
 
-    asked, rows = [], without_networks.rollouts.rows
+    asked, rows = [], sampling.rows
     monkeypatch.setattr(
-        without_networks.rollouts,
-        "rows",
-        lambda pipeline, *of, **named: asked.append(pipeline) or rows(pipeline, *of, **named),
+        sampling, "rows", lambda pipeline, *of, **named: asked.append(pipeline) or rows(pipeline, *of, **named)
     )
     pipeline = config.parse({"plant": "Pendulum", "generate": {"D": 0.3, "adaptation": adaptation}}, "tests")
     found = without_networks.measure(pipeline, plants.Plant("Pendulum", Pendulum))

@@ -84,7 +84,7 @@ def test_the_summary_says_what_holds(certified):
     assert {row["samples"] for row in result["models"].values()} == {samples}
     assert (
         f"{count} fresh rollouts, {samples} random samples of each: with a confidence of 90.0000% at most 20.00% of "
-        "rollouts so sampled have an error of U, in its largest component, above ε κ"
+        "rollouts so sampled have an error of U, in its largest component, above ε_κ"
     ) in " ".join(text.split())
     assert "DeepONet" in text and "FNO" in text
 

@@ -12,7 +12,7 @@ from npred.base.errors import DivergedError
 from npred.lab import config
 from npred.lab.scheduler.plan import Node
 from npred.lab.stages.evaluate import accuracy
-from npred.lab.stages.generate import generate, rollouts, sampling
+from npred.lab.stages.generate import generate, sampling
 from npred.lab.training.data.dataset import Dataset
 from npred.prediction.methods import RK4, Euler
 
@@ -61,7 +61,7 @@ def test_no_row_that_is_trained_on_is_held_out(made):
 
 def test_held_out_explorers_are_as_those_that_are_trained_on(made):
     task, _, held_out = made
-    columns = rollouts.rows(task.config, PLANT, range(10, 12))
+    columns = sampling.rows(task.config, PLANT, range(10, 12))
     assert ((columns["D"] >= 0.3) & (columns["D"] <= 0.4)).all()
     np.testing.assert_array_equal(columns["X"], held_out["exploring"].X)
     first = columns["D_hat"][columns["t"] < 0.1]
@@ -70,7 +70,7 @@ def test_held_out_explorers_are_as_those_that_are_trained_on(made):
 
 def test_explorers_held_out_leave_the_rows_of_the_data_alone(made):
     task, data, _ = made
-    again = rollouts.rows(task.config, PLANT, range(10))
+    again = sampling.rows(task.config, PLANT, range(10))
     assert all(again[name].tobytes() == getattr(data, name).tobytes() for name in again)
 
 
@@ -87,7 +87,7 @@ def test_as_large_a_share_of_explorers_is_held_out_as_of_the_others():
 def test_the_share_of_explorers_is_part_of_the_evaluations_key_where_data_are_the_same():
     """One of the 2 other rollouts is held out with either share, but of 8 explorers one or two."""
     few, many = (config.parse(tables(generate={"explore": 0.8, "test_share": share}), "tests") for share in (0.1, 0.2))
-    assert (sampling.held_out(0, few.generate) == sampling.held_out(0, many.generate)).all()
+    assert sampling.spared(0, few.generate) == sampling.spared(0, many.generate)
     assert len(sampling.explorers(few.generate, 99)) < len(sampling.explorers(many.generate, 99))
     node = Node("evaluate", None, ())
     assert settings_of(node, few) != settings_of(node, many)
@@ -117,7 +117,7 @@ def test_a_held_out_explorer_that_diverges_is_left_out_with_a_note(tmp_path, mad
     lost = {"explore": 0.4, "explore_D_hat0": (0.9, 1.1), "box": {"x1": [1e200, 1e200]}}
     task = job(tmp_path, "lost", generate=lost)
     with pytest.raises(DivergedError):
-        rollouts.rows(task.config, PLANT, range(10, 11))
+        sampling.rows(task.config, PLANT, range(10, 11))
     assert list(accuracy.held_out(task, made[1])) == ["nominal"]
     assert any("exploring held-out rows have no finite P; left out" in note for note in task.progress.notes)
 

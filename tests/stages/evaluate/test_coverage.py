@@ -9,7 +9,7 @@ from known_loops import known_loops
 
 from npred import plants
 from npred.lab.config.results import PredictorId
-from npred.lab.stages.evaluate import coverage
+from npred.lab.stages.evaluate import behaviour
 
 
 @pytest.mark.parametrize(
@@ -20,5 +20,5 @@ def test_outside_is_a_thousandth_of_the_range_beyond_it_on_either_side(value, ou
     data = SimpleNamespace(X=np.array([[90.0], [100.0]]), u=np.zeros((2, 1, 1)), D_hat=np.array([0.0, 1.0]))
     loops = known_loops([0, 0], [95.0, 95.0])
     X = np.concatenate([loops.X[:1], np.full_like(loops.X[:1], value)])
-    found = coverage.measure(plants.resolve("scalar"), data, {PredictorId("fno"): replace(loops, X=X)})
+    found = behaviour.coverage(plants.resolve("scalar"), data, {PredictorId("fno"): replace(loops, X=X)})
     assert found["X"].data == (90.0, 100.0) and found["X"].outside[PredictorId("fno")] == outside / 2

@@ -12,7 +12,7 @@ from npred.lab.config.conditions import starts
 from npred.lab.config.results import NUMERICAL, Benched, Evaluated, PredictorId
 from npred.lab.report import figures
 from npred.lab.stages.bench import bench
-from npred.lab.stages.evaluate import behaviour, evaluate, scenarios, summary_tables
+from npred.lab.stages.evaluate import behaviour, evaluate
 from npred.lab.stages.generate import generate
 from npred.lab.stages.report import report
 from npred.lab.stages.train import train
@@ -72,10 +72,10 @@ def test_scenarios_have_no_error_of_an_estimate(stages):
     result = Evaluated.read(stages["evaluate"].folder)
     assert [one.name for one in result.scenarios] == ["noise 1 %", "pipe"]
     assert all(does.D_error is None for one in result.scenarios for does in one.models.values())
-    *_, table = tables = summary_tables.details(result).split("\n\n")
+    *_, table = tables = evaluate.details(result).split("\n\n")
     assert table.splitlines()[1].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 8
     assert "|D̂ − D|" not in table
-    others = summary_tables.details(result.model_copy(update={"scenarios": []})).split("\n\n")
+    others = evaluate.details(result.model_copy(update={"scenarios": []})).split("\n\n")
     assert others == tables[:-1]
 
 
@@ -112,10 +112,8 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
         loops, infeasible=np.array([-1, 30, 20]), margin=np.array([np.nan, -0.3, -0.25]),
         breach=np.array([[np.nan, np.nan], [1.0, 2.0], [3.0, 4.0]]),
     )  # fmt: skip
-    by_contender = {NUMERICAL: loops, PredictorId("deeponet"): ended, PredictorId("fno"): ended}
-    behaviour.warn_of_overtaken(
-        task.progress, {contender: behaviour.overtaken(run) for contender, run in by_contender.items()}
-    )
+    each = {NUMERICAL: loops, PredictorId("deeponet"): ended, PredictorId("fno"): ended}
+    behaviour.warn_of_overtaken(task.progress, {name: behaviour.overtaken(run) for name, run in each.items()})
     (line,) = task.progress.notes
     assert "count as lost: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
 
@@ -144,7 +142,7 @@ def test_loops_of_a_scenario_that_end_are_reported_with_its_name(tmp_path):
     tables = [{"name": "as it is"}, {"name": "4 x", "parameters": {"c": 4.0}}]
     task = job(tmp_path, "evaluate", plant=f"{tmp_path}/growing.py:Growing",
                generate={"D": 1.0}, evaluate={"X0": [0.3], "case_t_end": 20.0, "scenarios": tables})  # fmt: skip
-    usual, slow = scenarios.run(task, {NUMERICAL: RK4(task.plant, 21)})
+    usual, slow = behaviour.run_scenarios(task, {NUMERICAL: RK4(task.plant, 21)})
     assert [one.models[NUMERICAL].overtaking for one in (usual, slow)] == [0, 2]
     assert [one.models[NUMERICAL].lost for one in (usual, slow)] == [0, 2]
     line = task.progress.notes[-1]

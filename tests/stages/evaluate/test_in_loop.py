@@ -6,7 +6,7 @@ from jobs import job
 
 from npred import plants
 from npred.lab.config.conditions import starts
-from npred.lab.stages.evaluate import in_loop
+from npred.lab.stages.evaluate.accuracy import about_in_loop, in_loop, in_loop_error
 from npred.loop.closed_loop import simulate
 from npred.prediction.methods import RK4, Euler, Predictor
 
@@ -19,26 +19,22 @@ def task(tmp_path):
 
 
 def error(task, predictor):
-    known = in_loop.condition(task.config, starts(task.config, task.plant))
-    return in_loop.error(task.plant, predictor, known, lambda count: None)
+    known = in_loop(task.config, starts(task.config, task.plant))
+    return in_loop_error(task.plant, predictor, known, lambda count: None)
 
 
 def test_it_is_the_largest_over_loops_that_know_the_delay(task):
     begin = starts(task.config, PLANT)
-    states = in_loop.states(begin)
+    known = in_loop(task.config, begin)
+    states = known.X0
     assert states.tolist() == [[0.03, 30.0], begin.X0[1].tolist(), begin.X0[3].tolist()]
     largest = 0.0
     for X0 in states:
         loop = simulate(PLANT, RK4(PLANT, 21), D=1.0, D_hat=1.0, X0=X0, t_end=6.0, dt=0.01)
         largest = max(largest, np.linalg.norm(loop.P[200:501] - loop.X[300:601], axis=-1).max())
     assert error(task, RK4(PLANT, 21)) == pytest.approx(largest, rel=1e-9) and largest > 0
-    assert in_loop.about(PLANT, task.config.evaluate, begin).json_object() == {
-        "D": 1.0,
-        "from": 2.0,
-        "to": 5.0,
-        "loops": 3,
-    }
-    assert in_loop.condition(task.config, begin).steps == 3 * 601
+    assert about_in_loop(PLANT, known).json_object() == {"D": 1.0, "from": 2.0, "to": 5.0, "loops": 3}
+    assert known.steps == 3 * 601
 
 
 def test_a_worse_predictor_has_a_larger_error(task):
@@ -49,11 +45,11 @@ def test_delays_are_rounded_to_control_steps(tmp_path):
     """X(t + D) is on a step; a delay below a step, or longer than the loop, leaves something to measure too."""
     begin = starts(job(tmp_path, "any").config, PLANT)
     for D, delay, length in ((0.994, 0.99, 6.0), (0.001, 0.01, 6.0), (3.0, 3.0, 12.0)):
-        config = job(tmp_path, f"{D}", evaluate={"D": D, "bounds": (0.001, 4.0)}).config.evaluate
-        assert in_loop.delay(config) == pytest.approx(delay) and in_loop.length(config) == pytest.approx(length)
-        about = in_loop.about(PLANT, config, begin)
+        known = in_loop(job(tmp_path, f"{D}", evaluate={"D": D, "bounds": (0.001, 4.0)}).config, begin)
+        assert pytest.approx(delay) == known.D and known.t_end == pytest.approx(length)
+        about = about_in_loop(PLANT, known)
         assert about.start < about.to
-    rounded = in_loop.about(PLANT, job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config.evaluate, begin)
+    rounded = about_in_loop(PLANT, in_loop(job(tmp_path, "some", evaluate={"D": 0.6, "dt": 0.025}).config, begin))
     assert (rounded.D, rounded.start, rounded.to) == (0.6, 1.2, 5.4)
 
 

@@ -11,7 +11,7 @@ from known_loops import NEVER, known_loops
 import npred
 from npred.lab.config.conditions import starts
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, PredictorId
-from npred.lab.stages.evaluate import behaviour, scenarios
+from npred.lab.stages.evaluate import behaviour
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.prediction.methods import RK4
@@ -27,13 +27,13 @@ TABLES = [
 
 
 def predictors():
-    """The same formula under the names of four contenders: what differs then is the loops, not the prediction."""
+    """The same formula under the names of four predictors: what differs then is the loops, not the prediction."""
     names = (NUMERICAL, NO_ADAPTATION, PredictorId("deeponet", 3), PredictorId("deeponet"))
     return {name: RK4(PLANT, 21) for name in names}
 
 
 def run(root, name, jobs=1, tables=TABLES):
-    return scenarios.run(job(root, name, jobs=jobs, evaluate={"scenarios": tables}), predictors())
+    return behaviour.run_scenarios(job(root, name, jobs=jobs, evaluate={"scenarios": tables}), predictors())
 
 
 def test_every_scenario_has_the_numerical_predictor_and_final_networks_alone(tmp_path):

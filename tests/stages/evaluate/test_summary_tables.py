@@ -4,7 +4,7 @@ import pytest
 from result_samples import ERRORS, SCORES, evaluated, evaluation
 
 from npred.lab.config.results import NUMERICAL, Evaluated, PredictorId
-from npred.lab.stages.evaluate import summary_tables
+from npred.lab.stages.evaluate import evaluate
 from npred.lab.stages.report import tables
 
 EXACT = SCORES | dict.fromkeys(ERRORS, 0.0)
@@ -26,7 +26,7 @@ def test_times_are_in_it_where_they_are_given():
 
 @pytest.mark.parametrize("width", [80, None])
 def test_it_fits_80_columns(width: int | None):
-    head, table = summary_tables.summary(RESULT, width).split("\n\n")
+    head, table = evaluate.summary(RESULT, width).split("\n\n")
     assert "12345 held-out samples (nominal)" in head  # prose: `Console.out` folds it
     for text in (table, tables.predictors(RESULT, {NUMERICAL: 1e6}).terminal(width)):
         assert max(map(len, text.splitlines())) <= 80 and "…" not in text
@@ -39,7 +39,7 @@ def cells(text: str, *heads: str) -> list[str]:
 
 
 def test_all_that_was_measured_is_in_the_details():
-    _, accuracy, kinds, loops = summary_tables.details(RESULT).split("\n\n")
+    _, accuracy, kinds, loops = evaluate.details(RESULT).split("\n\n")
     for text, words in (
         (accuracy, ("mean square", "ε sup", "ε_κ", "relative L²", "ε sup, fresh rollouts", "mean square, fresh")),
         (kinds, ("held out", "exploring rollouts", "ε sup")),
@@ -63,11 +63,8 @@ def test_limits_have_columns_where_the_plant_declares_any():
     heads = ("least h", "filtered", "steps without a way")
     result = evaluation("numerical", limits=kept)
     assert tables.predictors(result).terminal().splitlines()[0].endswith("least h")
-    assert cells(summary_tables.details(result).split("\n\n")[-1].split("\n", 1)[1], *heads) == [
-        "0.0123",
-        "25.00%",
-        "3",
-    ]
+    loops = evaluate.details(result).split("\n\n")[-1].split("\n", 1)[1]
+    assert cells(loops, *heads) == ["0.0123", "25.00%", "3"]
     free = {"least": None, "filtered": None, "unkept": None}  # a loop that is lost, without a filter
     assert "lost" in tables.predictors(evaluation("numerical", limits=free)).terminal()
-    assert not [head for head in heads if head in summary_tables.details(RESULT)]
+    assert not [head for head in heads if head in evaluate.details(RESULT)]

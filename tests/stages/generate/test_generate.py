@@ -13,7 +13,7 @@ from npred.base import json_files
 from npred.base.errors import ConfigError, DivergedError
 from npred.lab import config
 from npred.lab.scheduler.executors import Processes
-from npred.lab.stages.generate import generate, rollouts, sampling, sharded
+from npred.lab.stages.generate import generate, sampling
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import MEANING, Dataset
 from npred.loop.closed_loop import LANES
@@ -48,11 +48,11 @@ def test_neither_threads_nor_processes_change_the_bytes(tmp_path, monkeypatch):
     changes = {"rollouts": 130, "samples": 1000}
     two = Processes(2)
     generate.run(job(tmp_path, "one", generate=changes))
-    monkeypatch.setattr(rollouts, "elsewhere", None)
+    monkeypatch.setattr(sampling, "elsewhere", None)
     generate.run(job(tmp_path, "threads", executor=two, generate=changes))
     monkeypatch.undo()
-    monkeypatch.setattr(rollouts, "compiled", lambda pipeline, plant: False)
-    monkeypatch.setattr(rollouts, "rows", None)  # here; the processes have it
+    monkeypatch.setattr(sampling, "compiled", lambda pipeline, plant: False)
+    monkeypatch.setattr(sampling, "rows", None)  # here; the processes have it
     generate.run(job(tmp_path, "processes", executor=two, generate=changes))
     two.shutdown()
     one, *others = ((tmp_path / name / "data.h5").read_bytes() for name in ("one", "threads", "processes"))
@@ -74,7 +74,7 @@ def test_loops_are_compiled_unless_a_part_is_python(tmp_path, table, expected):
     (tmp_path / "law.py").write_text(LAW)
     table = {key: value.replace("FILE", str(tmp_path / "law.py")) for key, value in table.items()}
     made = job(tmp_path, "data", generate=table)
-    assert rollouts.compiled(made.config, made.plant) is expected
+    assert sampling.compiled(made.config, made.plant) is expected
 
 
 def test_a_thread_ends_at_the_next_report_of_progress(tmp_path):
@@ -84,7 +84,7 @@ def test_a_thread_ends_at_the_next_report_of_progress(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rollouts.rows(made.config, made.plant, range(3), progress=stop)
+        sampling.rows(made.config, made.plant, range(3), progress=stop)
 
 
 def test_all_threads_are_told_to_end(tmp_path, monkeypatch):
@@ -98,7 +98,7 @@ def test_all_threads_are_told_to_end(tmp_path, monkeypatch):
         told.append(batch)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(rollouts, "rows", stopped)
+    monkeypatch.setattr(sampling, "rows", stopped)
     with pytest.raises(KeyboardInterrupt):
         generate.run(made)
     two.shutdown()
@@ -133,7 +133,7 @@ def test_shards_hold_the_rows_of_the_one_file(tmp_path, monkeypatch):
 def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     whole = job(tmp_path, "whole", generate=SHARDED)
     generate.run(whole)
-    made, real = [], rollouts.elsewhere
+    made, real = [], sampling.elsewhere
 
     def stopped(pipeline, expected, batch):
         if made == [0, 64]:
@@ -141,7 +141,7 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
         made.append(batch.start)
         return real(pipeline, expected, batch)
 
-    monkeypatch.setattr(rollouts, "elsewhere", stopped)
+    monkeypatch.setattr(sampling, "elsewhere", stopped)
     broken = job(tmp_path, "broken", generate=SHARDED)
     with pytest.raises(KeyboardInterrupt):
         generate.run(broken)
@@ -151,7 +151,7 @@ def test_an_interrupted_run_keeps_its_shards(tmp_path, little, monkeypatch):
     (folder / ".data-00002.h5-killed").write_bytes(b"half")
     generate.run(broken)
     assert made == [0, 128, 192] and payload(broken.folder) == payload(whole.folder)
-    kept = {sharded.TOKEN, *(f"{shards.name(k)}.{json_files.sha256(whole.folder / shards.name(k))}" for k in range(4))}
+    kept = {generate.TOKEN, *(f"{shards.name(k)}.{json_files.sha256(whole.folder / shards.name(k))}" for k in range(4))}
     assert {path.name for path in folder.iterdir()} == kept
 
 
@@ -170,29 +170,29 @@ def test_a_shard_that_cannot_be_written_leaves_nothing(tmp_path, little, monkeyp
     stopped = job(tmp_path, "full", generate=SHARDED)
     with pytest.raises(OSError, match="No space left"):
         generate.run(stopped)
-    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [sharded.TOKEN]
+    assert [p.name for p in stopped.scratch.rglob("*") if p.is_file()] == [generate.TOKEN]
 
 
 def test_a_worker_that_does_not_see_the_folder_sends_its_shard_back(tmp_path, little, monkeypatch):
     near, far = (job(tmp_path, name, generate=SHARDED) for name in ("near", "far"))
     generate.run(near)
-    monkeypatch.setattr(sharded.ShardFolder, "shared", lambda folder: False)
+    monkeypatch.setattr(generate.ShardFolder, "shared", lambda folder: False)
     generate.run(far)
     assert payload(far.folder) == payload(near.folder)
     assert not [path for path in far.scratch.rglob("*") if path.name.startswith(".data")]
 
 
 def test_a_folder_of_the_same_name_elsewhere_is_not_taken_for_the_same(tmp_path):
-    folder = sharded.ShardFolder(tmp_path, "a")
+    folder = generate.ShardFolder(tmp_path, "a")
     assert not folder.shared()
-    (tmp_path / sharded.TOKEN).write_text("b")
-    assert not folder.shared() and sharded.ShardFolder(tmp_path, "b").shared()
+    (tmp_path / generate.TOKEN).write_text("b")
+    assert not folder.shared() and generate.ShardFolder(tmp_path, "b").shared()
 
 
 def test_the_data_of_the_paper_are_one_file_and_ten_million_samples_are_not():
     plant = plants.resolve("activator_repressor")
-    assert not sharded.needed(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
-    assert sharded.needed(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
+    assert not generate.sharded(plant, config.Generate(samples=100_000, rollouts=1000, nx=101))
+    assert generate.sharded(plant, config.Generate(samples=10_000_000, rollouts=50_000, nx=21))
 
 
 @given(st.integers(2, 5000), st.integers(1, 64))
@@ -206,16 +206,16 @@ def test_batches_do_not_change_the_bytes():
     """Two chunks in one batch, or each in its own."""
     pipeline = config.parse(tables(generate={"rollouts": 70, "samples": 210, "t_end": 2.0}), "tests")
     plant = plants.resolve(pipeline.plant)
-    whole = rollouts.rows(pipeline, plant, range(70))
-    parts = rollouts.joined([rollouts.rows(pipeline, plant, batch) for batch in (range(64), range(64, 70))])
+    whole = sampling.rows(pipeline, plant, range(70))
+    parts = sampling.joined([sampling.rows(pipeline, plant, batch) for batch in (range(64), range(64, 70))])
     assert {name: a.tobytes() for name, a in whole.items()} == {name: a.tobytes() for name, a in parts.items()}
 
 
 def test_a_worker_that_would_give_other_rows_is_refused():
     pipeline = config.parse(tables(), "tests")
-    expected = rollouts.surroundings(pipeline, plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
+    expected = sampling.surroundings(pipeline, plants.resolve(pipeline.plant)) | {"numpy": "0.1"}
     with pytest.raises(ConfigError, match=r"expected the same numpy on every worker, got another"):
-        rollouts.elsewhere(pipeline, expected, range(10))
+        sampling.elsewhere(pipeline, expected, range(10))
 
 
 def test_a_plant_file_is_found_from_another_folder(tmp_path, monkeypatch):

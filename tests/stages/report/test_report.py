@@ -25,7 +25,7 @@ from npred.lab.report.figures import EvaluationData
 from npred.lab.report.figures.notation import markup
 from npred.lab.report.figures.style import MEDIA
 from npred.lab.stages.report import report
-from npred.lab.stages.report.report_data import PipelineResults, sentences
+from npred.lab.stages.report.report import PipelineResults, sentences
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
 
 LIMIT = 1_500_000  # bytes
@@ -95,7 +95,7 @@ def results(reported) -> PipelineResults:
     path, outcomes = reported
     made = job(path.parent / "read", "report").plant
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
-    return PipelineResults.read(config.load(path), made, folders)
+    return PipelineResults(config.load(path), made, folders)
 
 
 def test_what_an_evaluation_announces_is_checked_before_room_is_made(
@@ -118,7 +118,7 @@ def test_a_result_too_long_for_a_table_is_not_read(reported, results: PipelineRe
     with (tmp_path / "result.json").open("wb") as file:
         file.truncate(json_files.LIMIT + 1)
     with pytest.raises(StoreError, match=f"more than {json_files.LIMIT}"):
-        PipelineResults.read(config.load(path), results.plant, folders)
+        PipelineResults(config.load(path), results.plant, folders)
 
 
 def test_nothing_is_loaded_and_nothing_could_be(page, text):

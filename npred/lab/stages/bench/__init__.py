@@ -1,22 +1,14 @@
 """The time of a predictor call, each with its error beside it."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from npred.base import registry
-from npred.lab.scheduler.declaration import Stage
+from npred.lab.scheduler.declaration import Slices, Stage
 
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
-
-STAGE = Stage(
-    __name__,
-    version=12,
-    upstream=("generate", "train"),
-    result_class="npred.lab.config.results:Benched",
-)
+STAGE = Stage(__name__, version=13, upstream=("generate", "train"), result_class="npred.lab.config.results:Benched")
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The table, the predictors that are timed, and the machine."""
     from npred.base import devices
     from npred.lab.scheduler.configuration import table

@@ -2,7 +2,7 @@
 
 import ctypes
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Literal, NamedTuple, Self
@@ -36,9 +36,9 @@ FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 
 @dataclass(frozen=True)
 class Candidate:
-    """A contender at one grid; `matches` names the network whose accuracy set its grid, or `front`.
+    """A predictor at one grid; `matches` names the network whose accuracy set its grid, or `front`.
 
-    `copies` says of a GPU whether samples come from and go to the host's memory in the time that is taken.
+    `copies`, for a GPU: whether the time includes copies of samples from and to the host's memory.
     """
 
     predictor: str
@@ -99,17 +99,15 @@ class Reference:
         return cls(plant, test.X[rows], test.u[rows], test.D_hat[rows], test.t[rows])
 
     def error(self, entry: Candidate) -> ErrorSizes:
-        """The errors of an entry on its nodes."""
-        return self._remembered((entry.predictor, entry.runtime, entry.nx), entry.run)
+        """The errors of an entry on its nodes, taken once for all batches and devices."""
+        key = entry.predictor, entry.runtime, entry.nx
+        if key not in self._known:
+            self._known[key] = self.errors(entry.run, entry.nx)
+        return self._known[key]
 
     def of_method(self, run: Predictor, nx: int) -> ErrorSizes:
         """The errors of a numerical method on nx nodes."""
-        return self._remembered((run.name, "compiled", nx), run)
-
-    def _remembered(self, key: tuple[str, str, int], run: Predictor) -> ErrorSizes:
-        if key not in self._known:
-            self._known[key] = self.errors(run, key[-1])
-        return self._known[key]
+        return self.error(Candidate(run.name, "compiled", nx, 1, run))
 
     def errors(self, predictor: Predictor, nx: int) -> ErrorSizes:
         with np.errstate(over="ignore", invalid="ignore"):  # few steps may diverge: an infinite error
@@ -120,15 +118,18 @@ class Reference:
 
 
 def entries(job: Job, reference: Reference) -> list[Candidate]:
-    """Every contender. Runtimes whose packages are missing are left out, with a note.
+    """Every candidate. Runtimes whose packages are missing are left out, with a note.
 
     Raises MissingError where none is left.
     """
-    config = job.config.bench
-    tables = {name: job.config.train.table(name) for name in job.config.train.models}
-    networks = {name: read(job.inputs[name], job.plant, table=table) for name, table in tables.items()}
+    config, models = job.config.bench, job.config.train.models
+    networks = {name: _network(job, name) for name in models}
     available, methods = _available(job.progress, config), one_step_methods(job.config, job.plant)
-    ways = {name: _ways(job.progress, name, operator, available) for name, operator in networks.items()}
+    ways = dict.fromkeys(models, available)
+    for name, operator in networks.items():
+        if "fused" in available and not lowering(operator):
+            job.progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
+            ways[name] = [runtime for runtime in available if runtime != "fused"] or ["torch"]
 
     @cache  # an ONNX graph takes seconds, and serves any batch
     def run(name: str, runtime: str, nx: int) -> Predictor:
@@ -140,11 +141,14 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
             kinds = (BASELINES.subclass("bench.baselines", s, Predictor) for s in config.baselines if batch == 1)
             rows += [Candidate(run.name, "python", nx, 1, run) for run in (kind(job.plant, nx) for kind in kinds)]
             rows += [Candidate(name, "compiled", nx, batch, kind(job.plant, nx)) for name, kind in methods.items()]
-            for name in networks:
+            for name in models:
                 rows += [Candidate(name, short_name(way), nx, batch, run(name, way, nx)) for way in ways[name]]
-                rows += _on_device(job, name, nx, batch)
+                if job.device != "cpu":
+                    moved = runtimes.predictor("torch", job.plant, _network(job, name), nx, name, job.device)
+                    for copies in (True, False):
+                        rows.append(Candidate(name, "torch", nx, batch, moved, device=job.device, copies=copies))
     nx = grid.count(config.dx[0])
-    for name in networks:
+    for name in models:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
         rows += rivals(methods, reference, eps, name)
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
@@ -153,13 +157,16 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
     ]
 
 
+def _network(job: Job, name: str) -> TrainedOperator:
+    return read(job.inputs[name], job.plant, table=job.config.train.table(name))
+
+
 def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: str) -> list[Candidate]:
     """The methods that reach the error eps of the network `name`, each on the fewest nodes that do."""
-    grids = {rival: matching(reference, kind, eps) for rival, kind in methods.items()}
     return [
-        Candidate(rival, "compiled", nx, 1, methods[rival](reference.plant, nx), name)
-        for rival, nx in grids.items()
-        if nx
+        Candidate(rival, "compiled", nx, 1, kind(reference.plant, nx), name)
+        for rival, kind in methods.items()
+        if (nx := matching(reference, kind, eps))
     ]
 
 
@@ -194,30 +201,16 @@ def matching(reference: Reference, method: Method, eps: float, by: Literal["sup"
 
 def _available(progress: Console, config: Bench) -> list[str]:
     """The runtimes whose packages are installed, with a note of the others."""
-    lacks = {name: [p for p in PACKAGES.get(name, ()) if not installed(p)] for name in config.runtimes}
-    missing = {name: packages for name, packages in lacks.items() if packages}
+    missing = {name: [p for p in PACKAGES.get(name, ()) if not installed(p)] for name in config.runtimes}
     for name, packages in missing.items():
+        if not packages:
+            continue
         if set(config.runtimes) == {name}:
             expected, extra = f"expected the package {packages[0]} for the one runtime {name}, found none", EXTRAS[name]
             cure = f"pip install 'npred[{extra}]', or name fused in [bench] runtimes"
             raise MissingError(f"bench: {expected}; {cure}")
         progress.note(f"bench: no rows of the runtime {name} without {', '.join(packages)}")
-    return [name for name in config.runtimes if name not in missing]
-
-
-def _ways(progress: Console, name: str, operator: TrainedOperator, available: list[str]) -> list[str]:
-    if lowering(operator) or "fused" not in available:
-        return available
-    progress.note(f"bench: no rows of the runtime fused for {name}, for it has no fused form")
-    return [runtime for runtime in available if runtime != "fused"] or ["torch"]
-
-
-def _on_device(job: Job, name: str, nx: int, batch: int) -> Iterator[Candidate]:
-    if job.device != "cpu":
-        moved = read(job.inputs[name], job.plant, table=job.config.train.table(name))
-        run = runtimes.predictor("torch", job.plant, moved, nx, name, job.device)
-        for copies in (True, False):
-            yield Candidate(name, "torch", nx, batch, run, device=job.device, copies=copies)
+    return [name for name in config.runtimes if not missing[name]]
 
 
 def call(job: Job, entry: Candidate, count: int) -> Callable[[int], None]:

@@ -1,4 +1,4 @@
-"""Predictors of one plant side by side: the time of a call, the error along a loop, and what each makes of the loop."""
+"""Predictors of one plant side by side: the time of a call, the error along a loop, and the loop with each."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,8 +11,8 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.notebook import InNotebook
 from npred.lab.report.figures.table import Column, Table
-from npred.lab.stages.bench import break_even, timing
-from npred.lab.stages.bench.candidates import PROBES, ErrorSizes, Reference
+from npred.lab.stages.bench import bench, timing
+from npred.lab.stages.bench.candidates import PROBES, Reference
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories, simulate
 from npred.loop.trajectory_views import pandas
@@ -20,7 +20,7 @@ from npred.plants import Plant
 from npred.plants.base import require
 from npred.prediction.methods import RK4, Predictor
 
-CALLS, SECONDS = 2000, 0.5  # of a predictor that are timed: so many, or as many as take so long
+CALLS, SECONDS = 2000, 0.5  # timed calls of a predictor: so many, or as many as take so long
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,14 @@ def compare(
     about = {"X0": X0, "t_end": t_end, "dt": dt, **delays, **loop}
     loops = {name: simulate(plant, run, **about) for name, run in named.items()}
     reference = _reference(plant, about, next(iter(loops.values())))
-    times = timing.sample({name: break_even.call(reference, run) for name, run in named.items()}, CALLS, SECONDS)
-    rows = [_row(name, times[name], reference.errors(run, run.nx), plant, loops[name]) for name, run in named.items()]
+    times = timing.sample({name: bench.call(reference, run) for name, run in named.items()}, CALLS, SECONDS)
+    rows = []
+    for name, run in named.items():
+        eps, target, us = reference.errors(run, run.nx), plant.target(loops[name].t), timing.quantiles(times[name])
+        radius, settle_time = (metric(loops[name], target) for metric in (metrics.radius, metrics.settle_time))
+        converged, settles = float(np.mean(metrics.converged(radius, target))), float(np.median(settle_time))
+        largest = float(np.max(radius))
+        rows.append(Compared(name, us["median_us"], us["p999_us"], eps.sup, eps.median, largest, converged, settles))
     return Comparison(tuple(rows), loops, plant.time_unit)
 
 
@@ -152,12 +158,3 @@ def _reference(plant: Plant, about: Mapping[str, Any], loops: Trajectories) -> R
         raise ConfigError(f"X0: expected a loop that RK4 keeps, got none of {loops.escaped.size}; start nearer to rest")
     rows = slice(None, PROBES)
     return Reference(plant, X[kept][rows], u[kept][rows], D_hat[kept][rows], t[kept][rows])
-
-
-def _row(name: str, nanoseconds: np.ndarray, eps: ErrorSizes, plant: Plant, loops: Trajectories) -> Compared:
-    target, quantiles = plant.target(loops.t), timing.quantiles(nanoseconds)
-    radius = metrics.radius(loops, target)
-    return Compared(
-        name, quantiles["median_us"], quantiles["p999_us"], eps.sup, eps.median, float(np.max(radius)),
-        float(np.mean(metrics.converged(radius, target))), float(np.median(metrics.settle_time(loops, target))),
-    )  # fmt: skip

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
-ROUNDS = 10  # the machine's drift falls on all contenders alike
+ROUNDS = 10  # the machine's drift falls on all predictors alike
 STOP = 5000  # ns: reading the clock takes a hundredth of that
-LEAST = 10  # calls of a contender, however long they take
+LEAST = 10  # calls of a predictor, however long they take
 WARM_UP = 3
 Call = Callable[[int], None]
 
@@ -19,9 +19,9 @@ def sample(
     calls: Mapping[str, Call], count: int | Mapping[str, int], seconds: float = np.inf,
     progress: Callable[..., None] | None = None,
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """Nanoseconds of the calls of each contender: call(k) is the k-th call, of `count` or of as many as take `seconds`.
+    """Nanoseconds of the calls of each predictor: call(k) is the k-th call, of `count` or of as many as take `seconds`.
 
-    Contenders take turns, on one core where that can be had, with the garbage collector off. `progress` takes a
+    Predictors take turns, on one core where that can be had, with the garbage collector off. `progress` takes a
     number of calls.
     """
     counts = dict.fromkeys(calls, count) if isinstance(count, int) else count
@@ -42,13 +42,11 @@ def sample(
 
 
 def affordable(call: Call, count: int, seconds: float) -> int:
-    """The number of calls, at most `count`, that fit into `seconds`; the calls made to find out are the warm-up."""
-    return int(min(count, max(LEAST, seconds / quickest(call))))
-
-
-def quickest(call: Call) -> float:
-    """The seconds of the quickest of a few calls."""
-    return max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
+    """The number of calls, at most `count`, that fit into `seconds` if each takes as long as the quickest of the
+    warm-up.
+    """
+    quickest = max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
+    return int(min(count, max(LEAST, seconds / quickest)))
 
 
 @contextmanager

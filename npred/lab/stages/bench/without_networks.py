@@ -8,11 +8,11 @@ from npred.diagnosis.case import WITHOUT_V
 from npred.lab.config import Pipeline
 from npred.lab.config.results.bench import BreakEven, Crossover
 from npred.lab.report.figures.style import short
-from npred.lab.report.terminal.console import columns
+from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler import pipeline_fit
-from npred.lab.stages.bench import break_even, candidates, timing_tables
+from npred.lab.stages.bench import bench, candidates
 from npred.lab.stages.bench.candidates import Candidate, ErrorSizes, Reference
-from npred.lab.stages.generate import rollouts
+from npred.lab.stages.generate import sampling
 from npred.lab.training.data.dataset import Dataset
 from npred.networks.fused import Fused
 from npred.networks.weights import untrained
@@ -49,7 +49,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> BreakEven:
         if not rivals:
             todo = f"got {', '.join(methods) or 'none'}; name one in generate"
             raise ConfigError(f"bench: expected a method whose error is {short(eps)}, {todo}")
-        crossovers.append(break_even.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
+        crossovers.append(bench.crossover(config, network, ErrorSizes(eps, np.nan), rivals, reference))
     return BreakEven(plant=plant.name, network=NETWORK, crossover=crossovers, sentence=sentence(crossovers))
 
 
@@ -60,7 +60,7 @@ def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
     loops, count = TRACED if plant.traced else CALLED
     size = {"rollouts": loops, "samples": min(count, loops * round(t_end / config.dt)), "t_end": t_end}
     changed = config.model_copy(update=size | {"explore": 0.0, "redraw": 0.0, "data": ""})
-    rows = rollouts.rows(pipeline.model_copy(update={"generate": changed}), plant, range(loops), finite=False)
+    rows = sampling.rows(pipeline.model_copy(update={"generate": changed}), plant, range(loops), finite=False)
     finite = array_checks.finite_rows(rows["X"], rows["u"], rows["D_hat"]) & np.isfinite(rows["P"]).all(axis=(1, 2))
     kept = {name: array[finite] for name, array in rows.items()}
     return Dataset(**kept, test=np.ones(finite.sum(), dtype=np.uint8))
@@ -69,9 +69,11 @@ def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
 def sentence(crossovers: list[Crossover]) -> str:
     """Whether a network could pay, in words; the errors are in the order of RELATIVE."""
     faster = [c for c in crossovers if c.network_speedup > 1]
-    bests = ", ".join(f"{_method(c)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers)
+    bests = ", ".join(
+        f"{bench.method_on(c.best, c.best_steps)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers
+    )
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
-    least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {_share(c)} error)" for c in crossovers)
+    least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {100 * c.eps_relative:.2g} % error)" for c in crossovers)
     pays = f"One would pay if an evaluation of f took at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
@@ -83,25 +85,17 @@ def sentence(crossovers: list[Crossover]) -> str:
     return f"A network could pay for {crossovers[0].plant}{which}: {times}. {pays} Train one to know its error."
 
 
-def _share(crossover: Crossover) -> str:
-    return f"{100 * crossover.eps_relative:.2g} %"
-
-
-def _method(crossover: Crossover) -> str:
-    return timing_tables.method_on(crossover.best, crossover.best_steps)
-
-
 def summary(result: BreakEven, width: int | None = None) -> str:
-    """What was assumed, a table, and the sentence."""
-    rows = [
-        [row.predictor, f"{row.steps}", f"{1 / row.steps:.3g}", f"{row.median_us:.1f}", short(row.eps_sup)]
-        for crossover in result.crossover
-        for row in crossover.numerical
+    """The assumptions, a table, and the sentence."""
+    rows = [row for crossover in result.crossover for row in crossover.numerical]
+    columns = [
+        Column("predictor", [*(row.predictor for row in rows), result.network]),
+        Column("steps", [*(row.steps for row in rows), None], "d"),
+        Column("dx", [*(1 / row.steps for row in rows), None], ".3g"),
+        Column("µs", [*(row.median_us for row in rows), result.crossover[0].network_us], ".1f"),
+        Column("ε sup", [*(short(row.eps_sup) for row in rows), "not trained"]),
     ]
-    first = result.crossover[0]
-    rows.append([result.network, "", "", f"{first.network_us:.1f}", "not trained"])
-    head = ["predictor", "steps", "dx", "µs", "ε sup"]
-    upper, lower = map(_share, result.crossover)
+    upper, lower = (f"{100 * crossover.eps_relative:.2g} %" for crossover in result.crossover)
     errors = f"{upper} (upper rows) and {lower} (lower rows) of the largest |P|"
     about = f"{result.plant}: the fewest steps with which each method errs by at most {errors}"
-    return "\n".join([about, "", columns(head, rows, width, numbers=head[1:]), "", result.sentence])
+    return "\n".join([about, "", Table("break_even", "Break-even", columns).terminal(width), "", result.sentence])

@@ -1,12 +1,9 @@
 """Bound a network's error by fresh rollouts, search for its worst inputs, and test its guard."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from npred.base import registry
-from npred.lab.scheduler.declaration import Stage
-
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
+from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
@@ -18,12 +15,12 @@ STAGE = Stage(
 NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat0")
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The table; the distribution of the data, from which fresh rollouts are drawn; the loops are as in [evaluate]."""
     from npred.lab.scheduler.configuration import table
 
     loops = {name: value for name, value in slices.loop("evaluate").items() if name not in NO_LOOPS_OF_IT}
     tables = {"certify": table(slices.config.optional("certify")), "evaluate": loops}
-    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]  # of packages
+    searches = [registry.CERTIFICATES.identity(name) for name in registry.CERTIFICATES.names()]  # by packages
     tables |= {"generate": slices.loop("generate"), "certificates": searches}
     return tables | slices.networks | slices.box

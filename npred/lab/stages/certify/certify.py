@@ -1,4 +1,4 @@
-"""The certify stage: what is known of a network's error, by fresh rollouts, in loops, and by what packages search."""
+"""The certify stage: the error of a network in fresh rollouts, in loops, and in the searches of packages."""
 
 from typing import Any
 
@@ -12,13 +12,13 @@ from npred.lab.config.conditions import EVERY, Condition
 from npred.lab.config.results import Certified, PredictorId
 from npred.lab.config.results.certify import Certificate
 from npred.lab.report import figures
-from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.certify import rollouts
 from npred.lab.stages.certify.rollouts import Rollouts
 from npred.lab.stages.certify.table import Certify
-from npred.lab.stages.evaluate import networks
+from npred.lab.stages.evaluate.evaluate import load_network
 from npred.lab.stages.generate import sampling
+from npred.lab.stages.report import tables
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.plants import Plant
@@ -38,29 +38,29 @@ def run(job: Job) -> Certified:
     devices.torch_threads(1)  # the same bits on any machine; another network takes the other cores
     exact, guard_table = numerical(config.predictor, job.plant, config.nx), config.guard or GuardTable()
     guards = {
-        contender: Guarded(networks.load(job, contender), exact=exact, **dict(guard_table))
-        for contender in map(PredictorId, job.config.train.models)
+        network: Guarded(load_network(job, network), exact=exact, **dict(guard_table))
+        for network in map(PredictorId, job.config.train.models)
     }
     by_rollout = rollouts.judge(job, guards, exact)
     loops = _loops(job, exact)
     with job.threads() as pool:
-        bare = {contender: pool.submit(_loops, job, guard.model) for contender, guard in guards.items()}
-        guarded = {contender: pool.submit(_loops, job, guard) for contender, guard in guards.items()}
+        bare = {network: pool.submit(_loops, job, guard.model) for network, guard in guards.items()}
+        guarded = {network: pool.submit(_loops, job, guard) for network, guard in guards.items()}
         rows = {
-            contender: {"tolerance": guard.tolerance, "by": guard.by}
-            | _rollouts(table, by_rollout[contender])
-            | _behaviour(job.plant, loops, bare[contender].result(), guarded[contender].result())
-            for contender, guard in guards.items()
+            network: {"tolerance": guard.tolerance, "by": guard.by}
+            | _rollouts(table, by_rollout[network])
+            | _behaviour(job.plant, loops, bare[network].result(), guarded[network].result())
+            for network, guard in guards.items()
         }
     for module in more:
-        for contender, fields in module.certify(job, guards, exact, by_rollout).items():
-            rows[contender] |= fields
-    errors = {contender: fresh.errors for contender, fresh in by_rollout.items()}
+        for network, fields in module.certify(job, guards, exact, by_rollout).items():
+            rows[network] |= fields
+    errors = {network: fresh.errors for network, fresh in by_rollout.items()}
     with h5py.File(job.folder / "errors.h5", "w") as file:
-        for contender, values in errors.items():
-            file[contender.name] = values
-    models = {contender: Certificate(**row) for contender, row in rows.items()}
-    lost = int(_lost(job.plant, loops).sum())
+        for network, values in errors.items():
+            file[network.name] = values
+    models = {network: Certificate(**row) for network, row in rows.items()}
+    lost = int(metrics.lost(loops, job.plant.target(loops.t)).sum())
     result = Certified(plant=job.plant.name, loops=table.loops, lost_numerical=lost, models=models)
     if plate := figures.certified(job.plant, result, errors):
         figures.write(plate, job.folder)
@@ -70,24 +70,14 @@ def run(job: Job) -> Certified:
 def summary(result: Certified, width: int | None = None) -> str:
     """A sentence about what holds, and a row per network."""
     first = next(iter(result.models.values()))
-    head = ["network", "ε κ", "lost", "guarded", "fallback"]
-    rows = [
-        [c.label, f"{row.eps_kappa:.1e}", str(row.lost), str(row.lost_guarded), f"{row.fallback:.2%}"]
-        for c, row in result.models.items()
-    ]
-    if first.adversarial is not None:
-        head[2:2] = ["adversary", "above", "unnoticed", "blind"]
-        for cells, c in zip(rows, result.models.values(), strict=True):
-            cells[2:2] = [f"{c.adversarial:.1e}", f"{c.above} of {c.calls}", str(c.unnoticed),
-                          f"{c.blind} of {c.blind_calls}"]  # fmt: skip
     about = (
         f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "
         f"confidence of {first.confidence:.4%} at most {first.probability:.2%} of rollouts so sampled have an error of "
-        f"U, in its largest component, above ε κ\n"
+        f"U, in its largest component, above ε_κ\n"
         f"{result.loops} loops, {result.lost_numerical} lost with the numerical predictor; tolerance "
         f"{first.tolerance:g}"
     )
-    return f"{about}\n\n{columns(head, rows, width, numbers=head[1:])}"
+    return f"{about}\n\n{tables.certified(result).terminal(width)}"
 
 
 def _rollouts(table: Certify, fresh: Rollouts) -> dict[str, Any]:
@@ -109,21 +99,12 @@ def _loops(job: Job, predictor: Predictor) -> Trajectories:
 
 
 def _behaviour(plant: Plant, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
-    """What a network's loops do beside those of the numerical predictor."""
-    kept = ~_lost(plant, loops)
+    """A network's loops, bare and guarded, beside those of the numerical predictor."""
+    target = plant.target(loops.t)
+    lost, lost_bare, lost_guarded = (metrics.lost(each, target) for each in (loops, bare, guarded))
+    gaps = (np.linalg.norm(each.X - target, axis=-1) for each in (loops, bare, guarded))
+    peak, peak_bare, peak_guarded = (float(gap.max()) if np.isfinite(gap).all() else np.inf for gap in gaps)
     return {
-        "lost": int((_lost(plant, bare) & kept).sum()),
-        "lost_guarded": int((_lost(plant, guarded) & kept).sum()),
-        "peak": _peak(plant, bare) / _peak(plant, loops),
-        "peak_guarded": _peak(plant, guarded) / _peak(plant, loops),
-        "fallback": guarded.fallback_share,
-    }
-
-
-def _lost(plant: Plant, loops: Trajectories) -> np.ndarray:
-    return metrics.lost(loops, plant.target(loops.t))
-
-
-def _peak(plant: Plant, loops: Trajectories) -> float:
-    gaps = np.linalg.norm(loops.X - plant.target(loops.t), axis=-1)
-    return float(gaps.max()) if np.isfinite(gaps).all() else np.inf
+        "lost": int((lost_bare & ~lost).sum()), "lost_guarded": int((lost_guarded & ~lost).sum()),
+        "peak": peak_bare / peak, "peak_guarded": peak_guarded / peak, "fallback": guarded.fallback_share,
+    }  # fmt: skip

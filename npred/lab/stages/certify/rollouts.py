@@ -40,7 +40,7 @@ class Rollouts(NamedTuple):
     """N fresh rollouts as one network sees them."""
 
     errors: np.ndarray  # (N,), the largest |kappa(P̂(1)) - kappa(P(1))| of each's samples, over components too
-    worst: Calls  # where that is
+    worst: Calls  # the calls of these errors
     fallback: float  # share of the samples that a guard answers
 
 
@@ -48,16 +48,16 @@ def judge(job: Job, guarded: Mapping[PredictorId, Guarded], exact: Predictor) ->
     """Fresh rollouts, N of them, by network."""
     table = job.config.optional("certify")
     number = count(table.probability, table.confidence)
-    parts: dict[PredictorId, list[tuple[int, Rollouts]]] = {contender: [] for contender in guarded}
+    parts: dict[PredictorId, list[tuple[int, Rollouts]]] = {network: [] for network in guarded}
     for start, rows in generate.batches(job, fresh(job.config, table, number), "certify"):
         X, u, D_hat, t = (rows[name] for name in ("X", "u", "D_hat", "t"))
         calls = X, grid.means(u, exact.nx), D_hat, t
-        for contender, guard in guarded.items():
+        for network, guard in guarded.items():
             true, _, passed = judged(guard, exact, *calls)
             worst = _largest(true, rows["rollout"])
             part = Rollouts(true[worst], tuple(a[worst] for a in calls), 1 - passed.mean())  # type: ignore[arg-type]
-            parts[contender].append((start, part))
-    return {contender: _joined([part for _, part in sorted(batch)]) for contender, batch in parts.items()}
+            parts[network].append((start, part))
+    return {network: _joined([part for _, part in sorted(batch)]) for network, batch in parts.items()}
 
 
 def _largest(errors: np.ndarray, rollout: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ def judged(
     guard: Guarded, exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any = 0.0,
     *, nearest: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """Of each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
+    """For each call the true error of U, the guard's estimate, and whether it lets the network answer, (B,) each.
 
     With `nearest` it is by the nearer of two readings of u, that of `exact` and straight lines through the nodes: what
     the nodes do not say is no error of the network. An error that is not a number is infinite.
@@ -87,20 +87,16 @@ def judged(
     by_lines = nearest and isinstance(exact, OneStep) and problem_of(exact.plant).reads_cells
     for i in range(0, len(X), ROWS):
         rows = X[i : i + ROWS], u[i : i + ROWS], D_hat[i : i + ROWS], t[i : i + ROWS]
-        P_hat = guard.model(*rows)
-        exacts = [exact(*rows), *([_by_lines(exact, *rows)] if by_lines else [])]
+        P_hat, exacts = guard.model(*rows), [exact(*rows)]
+        if by_lines:
+            fine = grid.straight(rows[1], FINER * (u.shape[1] - 1) + 1)
+            exacts.append(type(exact)(exact.plant, fine.shape[1])(rows[0], fine, *rows[2:])[:, ::FINER])
         U, *readings = (metrics.law(guard.plant, P, rows[3], rows[2]) for P in (P_hat, *exacts))
         true = np.fmin.reduce([np.abs(U - reading).max(axis=-1) for reading in readings])
         estimate, fallback = guard.judge(P_hat, *rows)
         parts.append((np.where(np.isnan(true), np.inf, true), estimate, ~fallback))
     errors, estimates, passed = (np.concatenate(column) for column in zip(*parts, strict=True))
     return errors, estimates, passed
-
-
-def _by_lines(exact: Predictor, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """P where u is straight between its nodes, by `exact`'s method on FINER times as many intervals."""
-    fine = grid.straight(u, FINER * (u.shape[1] - 1) + 1)
-    return type(exact)(exact.plant, fine.shape[1])(X, fine, D_hat, t)[:, ::FINER]
 
 
 def fresh(pipeline: Pipeline, table: Certify, number: int) -> Pipeline:

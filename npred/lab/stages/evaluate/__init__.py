@@ -1,22 +1,14 @@
 """Held-out errors and closed loops: eps and the convergence radius."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from npred.lab.scheduler.declaration import Stage
+from npred.lab.scheduler.declaration import Slices, Stage
 
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
-
-STAGE = Stage(
-    __name__,
-    version=16,
-    upstream=("generate", "train"),
-    result_class="npred.lab.config.results:Evaluated",
-)
+STAGE = Stage(__name__, version=16, upstream=("generate", "train"), result_class="npred.lab.config.results:Evaluated")
 HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat0")
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The table and the networks, the keys that draw held-out rows, and the labels of its figures.
 
     The same data may be held out in other shares.

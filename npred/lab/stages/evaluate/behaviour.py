@@ -1,61 +1,65 @@
-"""What closed loops do: where and when they end, which of them converge, and which end since commands overtake."""
+"""Closed loops: their ends, those that converge, the same under the conditions of scenarios, and coverage by the data.
+
+A network is only reliable where it was trained.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 
 from npred.lab.config import Evaluate
-from npred.lab.config.conditions import Starts
+from npred.lab.config.conditions import EVERY, Condition, Starts, under
 from npred.lab.config.results import NUMERICAL, PredictorId
-from npred.lab.config.results.evaluate import Behaviour, DelayMap, Limits, LoopEnd, Radii, Radius
+from npred.lab.config.results.evaluate import Behaviour, Conditions, Coverage, DelayMap, Limits, LoopEnd, Radii, Radius
 from npred.lab.report.terminal.console import Console
+from npred.lab.scheduler.job import Job
+from npred.lab.training.data.dataset import Dataset
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant
+from npred.prediction.methods import Predictor
 
-SERIES = ("t", "X", "U", "D_hat", "N")  # of figure1.h5
+SERIES = ("t", "X", "U", "D_hat", "N")  # in figure1.h5
+MARGIN = 1e-3  # share of a quantity's range: beyond it a loop is outside
+NEAR = 0.05  # share of the bounds' width: data that come this close to a bound of D_hat reach it
+OUTSIDE = 0.01  # share of a predictor's loop steps outside the data, above which a line warns
+BINS = 60
 
 
-class Overtaken(NamedTuple):
-    """The number of loops that ended since commands would overtake each other, 1 - D_X f - D_t <= 0, and where.
-
-    That is step, state and margin of the first, in words; 0 and nothing if none did.
-    """
-
-    count: int
-    where: str
+Overtaken = tuple[int, str]  # number of loops that ended since commands would overtake each other, and where the first
 
 
 def overtaken(loops: Trajectories) -> Overtaken:
-    return Overtaken(int((loops.infeasible >= 0).sum()), " ".join(infeasible(loops) or ()))
+    """The number of loops with 1 - D_X f - D_t <= 0, and step, state and margin of the first in words."""
+    return int((loops.infeasible >= 0).sum()), " ".join(infeasible(loops) or ())
 
 
-def warn_of_overtaken(progress: Console, by_contender: Mapping[PredictorId, Overtaken], scenario: str = "") -> None:
-    """One warning for all contenders, of a scenario if one is named; none where no loop ended."""
-    each = [(contender, loops) for contender, loops in by_contender.items() if loops.count]
-    if each:
-        counts = ", ".join(f"{loops.count} of {contender.label}" for contender, loops in each)
+def warn_of_overtaken(progress: Console, ended: Mapping[PredictorId, Overtaken], scenario: str = "") -> None:
+    """One warning for all predictors, of a scenario if one is named; none where no loop ended."""
+    lost = {predictor_id: each for predictor_id, each in ended.items() if each[0]}
+    if lost:
+        counts = ", ".join(f"{count} of {predictor_id.label}" for predictor_id, (count, _) in lost.items())
         where = f'in the scenario "{scenario}" ' if scenario else ""
-        what = f"{where}loops in which commands would overtake each other count as lost"
-        progress.warn(f"{what}: {counts}; {each[0][1].where}")
+        first = next(iter(lost.values()))[1]
+        progress.warn(f"{where}loops in which commands would overtake each other count as lost: {counts}; {first}")
 
 
 def scores(
-    plant: Plant, config: Evaluate, begin: Starts, contender: PredictorId, eps_kappa: float,
+    plant: Plant, config: Evaluate, begin: Starts, predictor_id: PredictorId, eps_kappa: float,
     loops: Mapping[PredictorId, Trajectories],
 ) -> dict[str, Any]:  # fmt: skip
-    """What a contender's loops of an evaluation do, by key of npred.lab.config.results.evaluate.Scores."""
-    run, exact = loops[contender], loops[NUMERICAL]
+    """A predictor's loops of an evaluation in numbers, by key of npred.lab.config.results.evaluate.Scores."""
+    run, exact = loops[predictor_id], loops[NUMERICAL]
     cases, reference = run.part(begin.cases), exact.part(begin.cases)
     target = plant.target(cases.t)
     settle, goal = (metrics.settle_time(batch, target) for batch in (cases, reference))
     settled = np.isfinite(goal) & (goal > 0)
-    mapped = contender.adapts and begin.map.stop > begin.map.start
+    mapped = predictor_id.adapts and begin.map.stop > begin.map.start
     return {
         "radius": Radius(**_radii(cases, target), predicted=metrics.gain(plant, config.case_t_end) * eps_kappa),
         "settle_time": np.median(settle),
@@ -63,7 +67,7 @@ def scores(
         "decay_rate": _median(metrics.decay_rate(cases, target)),
         "map": delay_map(plant, config, run.part(begin.map), exact.part(begin.map)) if mapped else None,
         "figure1": end(plant, figure1(config, run)),
-        "fallback": run.fallback_share if config.guard and contender.is_network else None,
+        "fallback": run.fallback_share if config.guard and predictor_id.is_network else None,
         **limits(cases, config.safety is not None),
     }
 
@@ -72,14 +76,17 @@ def behaviour(
     plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, guarded: bool = False,
     filtered: bool = False,
 ) -> Behaviour:  # fmt: skip
-    """What loops (B,) of true delay D do in a scenario."""
-    target = plant.target(loops.t)
+    """Loops (B,) of true delay D in numbers, of a scenario."""
+    target, D_error = plant.target(loops.t), None
+    late = loops.t >= (1 - metrics.TAIL) * loops.t[-1]
+    if not plant.declares_delay and np.isfinite(loops.D_hat[:, late]).any():  # else there is no estimate, or none left
+        D_error = float(np.nanmax(np.abs(loops.D_hat[:, late] - [D(t) if callable(D) else D for t in loops.t[late]])))
     return Behaviour(
         radius=Radii(**_radii(loops, target)),
         settle_time=np.median(metrics.settle_time(loops, target)),
         lost=int(metrics.lost(loops, target).sum()),
-        overtaking=overtaken(loops).count,
-        D_error=None if plant.declares_delay else _D_error(loops, D),
+        overtaking=overtaken(loops)[0],
+        D_error=D_error,
         fallback=loops.fallback_share if guarded else None,
         **limits(loops, filtered),
     )
@@ -89,14 +96,9 @@ def limits(loops: Trajectories, filtered: bool) -> dict[str, Limits]:
     """How loops keep the plant's limits, with a safety filter or without; empty where it declares none."""
     if loops.safety is None:
         return {}
-    least, share, unkept = float(loops.safety.min()), loops.filtered_share, int(loops.unkept.sum())
-    return {
-        "limits": Limits(
-            least=least if np.isfinite(least) else None,
-            filtered=share if filtered else None,
-            unkept=unkept if filtered else None,
-        )
-    }
+    least = float(loops.safety.min())
+    share, unkept = (loops.filtered_share, int(loops.unkept.sum())) if filtered else (None, None)
+    return {"limits": Limits(least=least if np.isfinite(least) else None, filtered=share, unkept=unkept)}
 
 
 def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Trajectories) -> DelayMap:
@@ -122,14 +124,14 @@ def figure1(config: Evaluate, loops: Trajectories) -> Trajectories:
 
 
 def write_figure1(path: Path, config: Evaluate, *readings: Mapping[PredictorId, Trajectories]) -> None:
-    """These loops as HDF5: by contender t, X, U, D_hat, and N of the stability proof; those of a second reading, with U
+    """These loops as HDF5: by predictor t, X, U, D_hat, and N of the stability proof; those of a second reading, with U
     within `figure_bounds`, below `bounded/`.
     """
     with h5py.File(path, "w") as file:
         for group, loops in zip(("", "bounded/"), readings, strict=False):
-            for contender, run in loops.items():
+            for predictor_id, run in loops.items():
                 for series in SERIES:
-                    file[f"{group}{contender.name}/{series}"] = getattr(figure1(config, run), series)
+                    file[f"{group}{predictor_id.name}/{series}"] = getattr(figure1(config, run), series)
 
 
 def end(plant: Plant, loop: Trajectories) -> LoopEnd:
@@ -151,9 +153,70 @@ def _median(values: np.ndarray) -> float | None:
     return float(np.median(numbers)) if len(numbers) and np.isfinite(np.median(numbers)) else None
 
 
-def _D_error(loops: Trajectories, D: Callable[[float], float] | float) -> float | None:
-    """The largest |D_hat - D| over the last tenth; None where no estimate is finite there."""
-    late = loops.t >= (1 - metrics.TAIL) * loops.t[-1]
-    delays = np.array([D(t) if callable(D) else D for t in loops.t[late]])
-    errors = np.abs(loops.D_hat[:, late] - delays)
-    return float(np.nanmax(errors)) if np.isfinite(errors).any() else None
+def run_scenarios(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list[Conditions]:
+    """Each scenario with the numerical predictor and the final weights of each network: the same starts and noise.
+
+    Warns of loops that ended since commands would overtake each other.
+    """
+    config = job.config.evaluate
+    compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
+    conditions = [under(job.plant, job.config, scenario) for scenario in config.scenarios]
+    steps = len(compared) * sum(condition.steps for condition in conditions)
+
+    def does(condition: Condition, predictor: Predictor) -> tuple[Behaviour, Overtaken]:
+        loops = condition.loops(job.plant, predictor, every=EVERY, progress=bar.advance)
+        filtered = condition.table.safety is not None
+        return behaviour(job.plant, loops, condition.D, predictor.guard is not None, filtered), overtaken(loops)
+
+    with job.progress.bar("scenarios", steps, "steps") as bar, job.threads() as pool:
+        tasks = [{c: pool.submit(does, each, p) for c, p in compared.items()} for each in conditions]
+        results = [{c: task.result() for c, task in by_predictor.items()} for by_predictor in tasks]
+    outcomes = []
+    for scenario, by_predictor in zip(config.scenarios, results, strict=True):
+        warn_of_overtaken(job.progress, {c: ended for c, (_, ended) in by_predictor.items()}, scenario.name)
+        outcomes.append(Conditions(name=scenario.name, models={c: loops for c, (loops, _) in by_predictor.items()}))
+    return outcomes
+
+
+def _quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> dict[str, np.ndarray]:
+    """The values of each state, each input and the delay estimate, flat, without those of diverged loops."""
+    by_name = {name: X[..., k] for k, name in enumerate(plant.states)}
+    by_name |= {name: u[..., k] for k, name in enumerate(plant.inputs)} | {"D_hat": D_hat}
+    return {name: values[np.isfinite(values)] for name, values in by_name.items()}
+
+
+def coverage(
+    plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories], bounds: tuple[float, float] = (0.0, np.inf)
+) -> dict[str, Coverage]:
+    """For each quantity its range in the training data, and the share of each predictor's loop steps outside it.
+
+    An estimate at its bound is inside where the data come near that bound: they cannot lie beyond, and what is drawn
+    up to a bound does not meet it.
+    """
+    covered = _quantities(plant, data.X, data.u, data.D_hat)
+    ranges = {name: (float(values.min()), float(values.max())) for name, values in covered.items()}
+    near, ends = NEAR * (bounds[1] - bounds[0]), zip(ranges["D_hat"], bounds, strict=True)
+    reached: dict[str, Any] = {"D_hat": [bound if abs(end - bound) <= near < np.inf else end for end, bound in ends]}
+    outside: dict[str, dict[PredictorId, float]] = {name: {} for name in ranges}
+    for predictor_id, run in loops.items():
+        for name, values in _quantities(plant, run.X, run.U, run.D_hat).items():
+            low, high = reached.get(name, ranges[name])
+            slack = MARGIN * (high - low)
+            outside[name][predictor_id] = float(np.mean((values < low - slack) | (values > high + slack)))
+    return {name: Coverage(data=ranges[name], outside=outside[name]) for name in ranges}
+
+
+def write_coverage(path: Path, plant: Plant, data: Dataset, loops: Mapping[PredictorId, Trajectories]) -> None:
+    """Densities over the data's range as HDF5: by quantity `edges` (BINS + 1,), `data` and `loops/NAME` (BINS,)."""
+    with h5py.File(path, "w") as opened:
+        file: Any = opened
+        for name, values in _quantities(plant, data.X, data.u, data.D_hat).items():
+            slack = MARGIN * np.ptp(values)  # what `coverage` counts as inside is in the picture
+            slack = slack or 0.01 * max(abs(values[0]), 1.0)  # a delay that is known has one value
+            edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
+            file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
+        for predictor_id, run in loops.items():
+            for name, values in _quantities(plant, run.X, run.U, run.D_hat).items():
+                edges = file[f"{name}/edges"][:]
+                inside = np.histogram(values, edges)[0] / max(len(values), 1)
+                file[f"{name}/loops/{predictor_id.name}"] = inside / np.diff(edges)

@@ -1,4 +1,4 @@
-"""The evaluate stage: errors on held-out rows of each kind, what closed loops make of them, the certificate of both."""
+"""The evaluate stage: errors on held-out rows of each kind, closed loops, and the certificate of both."""
 
 from collections.abc import Callable, Mapping
 from itertools import chain, zip_longest
@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from npred import networks as runtimes
 from npred.base import randomness
 from npred.guard.guarded import Guarded, bare
 from npred.lab.config import FROZEN, Evaluate
@@ -13,20 +14,19 @@ from npred.lab.config.conditions import EVERY, Condition, Starts, starts
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, Evaluated, PredictorId
 from npred.lab.config.results.evaluate import Coverage, KindErrors, KindSize, Scores
 from npred.lab.report import figures
-from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.evaluate import accuracy, behaviour, coverage, in_loop, networks, scenarios, summary_tables
-from npred.lab.stages.evaluate.accuracy import EXACT, Labelled
+from npred.lab.stages.evaluate import accuracy, behaviour
+from npred.lab.stages.report import tables
 from npred.lab.training.data import shards
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import at_bound
-from npred.plants import Plant
+from npred.networks.fused import Fused, lowering
+from npred.networks.weights import read
 from npred.prediction.methods import Predictor, numerical
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
 SHARE = 3  # loops of a compiled predictor in a task
-summary, details = summary_tables.summary, summary_tables.details
 
 
 def run(job: Job) -> Evaluated:
@@ -43,36 +43,40 @@ def run(job: Job) -> Evaluated:
     """
     config, data = job.config.evaluate, shards.survey(job.inputs["generate"] / "data.h5")
     begin, predictors = starts(job.config, job.plant), _predictors(job)
-    loops, in_loops = _all_loops(job, predictors, begin)
-    bounded = _bounded_loops(job, predictors, begin)
-    conditions = {"scenarios": scenarios.run(job, predictors)} if config.scenarios else {}
+    at_D = accuracy.in_loop(job.config, begin)
+    loops, bounded, in_loop_errors = _all_loops(job, predictors, begin, at_D)
+    conditions = {"scenarios": behaviour.run_scenarios(job, predictors)} if config.scenarios else {}
     job.progress.doing("evaluate", "measuring errors")
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
-    cases = loops[NUMERICAL].part(begin.cases)
-    held_out, fresh = accuracy.held_out(job, data), Labelled.fresh(cases, taken, predictors[NUMERICAL])
-    bare_networks = {c: networks.on_any_grid(job, bare(predictors[c])) for c in predictors if c.is_network}
-    P_hat = {
-        contender: {kind: accuracy.predict(predictor, rows) for kind, rows in held_out.items()}
-        for contender, predictor in bare_networks.items()
-    }
+    held_out = accuracy.held_out(job, data)
+    fresh = accuracy.fresh(loops[NUMERICAL].part(begin.cases), taken, predictors[NUMERICAL])
+    networks, P_hat = {}, {}
+    for network_id in filter(lambda each: each.is_network, predictors):
+        # by torch, where it is installed, and so equal up to rounding: the data's grid need not be compiled too
+        network: Any = bare(predictors[network_id])
+        network = runtimes.predictor(None, job.plant, network.operator, network.nx, network.name, job.device)
+        networks[network_id] = network
+        P_hat[network_id] = {kind: accuracy.predict(network, rows) for kind, rows in held_out.items()}
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
-    for contender in predictors:
-        errors = _errors(job.plant, bare_networks.get(contender), P_hat.get(contender, {}), held_out, fresh)
-        does = behaviour.scores(job.plant, config, begin, contender, errors["eps_kappa"], loops)
+    for predictor_id in predictors:
+        # the numerical predictor is the reference: its errors are 0
+        errors, new = accuracy.EXACT.set_values, accuracy.EXACT
+        kinds = {kind: KindErrors(**errors, above=0.0) for kind in held_out}
+        if network := networks.get(predictor_id):
+            kinds = accuracy.by_kind(job.plant, P_hat[predictor_id], held_out)
+            errors = {key: value for key, value in next(iter(kinds.values())).set_values.items() if key != "above"}
+            new = accuracy.measure(job.plant, accuracy.predict(network, fresh), fresh)
+        does = behaviour.scores(job.plant, config, begin, predictor_id, errors["eps_kappa"], loops)
         if bounded:
-            does["figure1_bounded"] = behaviour.end(job.plant, behaviour.figure1(config, bounded[contender]))
-        models[contender] = Scores(**errors, in_loop=in_loops[contender], **does)
+            does["figure1_bounded"] = behaviour.end(job.plant, behaviour.figure1(config, bounded[predictor_id]))
+        models[predictor_id] = Scores(**errors, kinds=kinds, fresh=new, in_loop=in_loop_errors[predictor_id], **does)
     bounds = (0.0, np.inf) if job.plant.declares_delay else config.bounds
-    covered = coverage.measure(job.plant, data, {c: loops[c] for c in bare_networks}, bounds)
-    _warn(job, covered)
-    behaviour.warn_of_overtaken(job.progress, {c: behaviour.overtaken(run) for c, run in loops.items()})
-    for contender, run in loops.items():
-        if words := at_bound(run.part(begin.cases)):
-            job.progress.warn(f"{contender.label}, cases: {words}")
-    _warn_of_fallbacks(job.progress, models)
+    covered = behaviour.coverage(job.plant, data, {c: loops[c] for c in networks}, bounds)
+    _warn(job, begin, covered, loops, models)
     behaviour.write_figure1(job.folder / "figure1.h5", config, loops, bounded)
-    coverage.write(job.folder / "coverage.h5", job.plant, data, {c: loops[c] for c in loops if c.epoch is None})
+    final = {c: run for c, run in loops.items() if c.epoch is None}
+    behaviour.write_coverage(job.folder / "coverage.h5", job.plant, data, final)
     result = Evaluated(
         plant=job.plant.name,
         equilibrium=job.plant.equilibrium.tolist() if job.plant.rests else None,
@@ -81,13 +85,48 @@ def run(job: Job) -> Evaluated:
         held_out_kind=next(iter(held_out)),
         kinds={name: KindSize(rows=len(rows.X)) for name, rows in held_out.items()},
         fresh=len(fresh.X),
-        in_loop=in_loop.about(job.plant, config, begin),
+        in_loop=accuracy.about_in_loop(job.plant, at_D),
         models=models,
         coverage=covered,
         **conditions,
     )
-    _draw(job, result)
+    job.progress.doing("evaluate", "drawing")
+    drawn = figures.EvaluationData.read(job.folder, job.plant, config, result)
+    for draw in (figures.figure1, figures.figure1_bounded, figures.certificate, figures.coverage):
+        if figure := draw(drawn):
+            figures.write(figure, job.folder)
     return result
+
+
+def summary(result: Evaluated, width: int | None = None) -> str:
+    """The samples of the errors, and the table of each predictor."""
+    return f"{_title(result)}\n\n{tables.predictors(result).terminal(width)}"
+
+
+def details(result: Evaluated, width: int | None = None) -> str:
+    """All tables of the page on errors and loops, wider than most screens."""
+    shown = tables.accuracy(result), tables.kinds(result), tables.loops(result), tables.scenarios(None, result)
+    texts = [f"{table.title}\n{table.terminal(width)}" for table in shown if table]
+    return "\n\n".join([_title(result), *texts])
+
+
+def _title(result: Evaluated) -> str:
+    rows = f"{result.held_out} held-out samples ({result.held_out_kind}), {result.fresh} fresh ones"
+    return f"{result.plant}: {rows}, and closed loops"
+
+
+def load_network(job: Job, network_id: PredictorId) -> Predictor:
+    """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
+
+    A network that cannot be lowered is evaluated by torch.
+    """
+    model, epoch, name = network_id.model, network_id.epoch, network_id.name
+    operator = read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
+    if not lowering(operator) and epoch is None:
+        job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
+    if job.device == "cpu" and lowering(operator):
+        return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
+    return runtimes.predictor("torch", job.plant, operator, job.config.evaluate.nx, name, job.device)
 
 
 def _predictors(job: Job) -> dict[PredictorId, Predictor]:
@@ -98,112 +137,84 @@ def _predictors(job: Job) -> dict[PredictorId, Predictor]:
         predictors[NO_ADAPTATION] = exact
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
-            contender = PredictorId(model, snapshot)
-            network, guard = networks.load(job, contender), config.guard
-            predictors[contender] = Guarded(network, exact=exact, **dict(guard)) if guard else network
+            network = load_network(job, PredictorId(model, snapshot))
+            guarded = Guarded(network, exact=exact, **dict(config.guard)) if config.guard else network
+            predictors[PredictorId(model, snapshot)] = guarded
     return predictors
 
 
 def _all_loops(
-    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts
-) -> tuple[dict[PredictorId, Trajectories], dict[PredictorId, float]]:
-    """Every contender's loops, and its prediction error in the loop.
+    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts, at_D: Condition
+) -> tuple[dict[PredictorId, Trajectories], dict[PredictorId, Trajectories], dict[PredictorId, float]]:
+    """Every predictor's loops, that of Fig. 1 with U within `figure_bounds` (if any), and its error in the loop.
 
     In threads: kernels and torch let go of the GIL, and networks need not be sent.
-    Shares are of fixed size, so that the bytes do not depend on the number of threads.
+    Shares are of fixed size, so that the bytes do not depend on the number of threads: all loops at once where a call
+    has a fixed cost to share.
     """
     config = job.config.evaluate
     job.progress.doing("evaluate", "compiling")
     for predictor in predictors.values():
         predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
-    at_D = in_loop.condition(job.config, begin)
-    starts = sum(begin.of(c) for c in predictors)
-    steps = starts * (round(config.case_t_end / config.dt) + 1) + at_D.steps * len(adapting)
+    counts = {c: begin.of(c) for c in predictors}
+    widths = {c: SHARE if predictor.compiled else counts[c] for c, predictor in predictors.items()}
+    shares = [
+        [(c, slice(i, min(i + widths[c], count))) for i in range(0, count, widths[c])] for c, count in counts.items()
+    ]
+    steps = sum(counts.values()) * (round(config.case_t_end / config.dt) + 1) + at_D.steps * len(adapting)
     with job.progress.bar("evaluate", steps, "steps") as bar, job.threads() as pool:
-        checks = {c: pool.submit(in_loop.error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
-        turns = zip_longest(*([(c, part) for part in _shares(p, begin.of(c))] for c, p in predictors.items()))
+        checks = {c: pool.submit(accuracy.in_loop_error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
         tasks = {c: [] for c in predictors}
-        for c, part in filter(None, chain.from_iterable(turns)):  # in turns: the time left is of a mean pace
+        turns = chain.from_iterable(zip_longest(*shares))  # the time left is of a mean pace
+        for c, part in filter(None, turns):
             tasks[c].append(pool.submit(_loops, job, config, c, predictors[c], begin, part, bar.advance))
+        within = {}
+        if (table := config.bounded) is not None:
+            within = {c: pool.submit(_loops, job, table, c, p, begin, slice(0, 1)) for c, p in predictors.items()}
         loops = {c: Trajectories.joined([done.result() for done in parts]) for c, parts in tasks.items()}
+        bounded = {c: done.result() for c, done in within.items()}
         errors = {c: done.result() for c, done in checks.items()}
-        return loops, errors | {NO_ADAPTATION: errors[NUMERICAL]}
-
-
-def _bounded_loops(
-    job: Job, predictors: Mapping[PredictorId, Predictor], begin: Starts
-) -> dict[PredictorId, Trajectories]:
-    """The loop of Fig. 1 with U within `figure_bounds`, of every contender; empty without these."""
-    table = job.config.evaluate.bounded
-    if table is None:
-        return {}
-    with job.threads() as pool:
-        tasks = {c: pool.submit(_loops, job, table, c, p, begin, slice(0, 1)) for c, p in predictors.items()}
-        return {c: task.result() for c, task in tasks.items()}
-
-
-def _shares(predictor: Predictor, count: int) -> list[slice]:
-    """A contender's loops, all at once where a call has a fixed cost to share."""
-    width = SHARE if predictor.compiled else count
-    return [slice(i, min(i + width, count)) for i in range(0, count, width)]
+        return loops, bounded, errors | {NO_ADAPTATION: errors[NUMERICAL]}
 
 
 def _loops(
-    job: Job, config: Evaluate, contender: PredictorId, predictor: Predictor, begin: Starts, part: slice,
+    job: Job, config: Evaluate, predictor_id: PredictorId, predictor: Predictor, begin: Starts, part: slice,
     progress: Callable[[int], None] | None = None,
 ) -> Trajectories:  # fmt: skip
-    taken = None if contender.is_network else accuracy.sample_steps(job.config.seed, config, begin.of(contender))[part]
+    taken = None
+    if not predictor_id.is_network:
+        taken = accuracy.sample_steps(job.config.seed, config, begin.of(predictor_id))[part]
     seed = randomness.integer(job.config.seed, "evaluate", "noise")
-    whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=contender.adapts)
+    whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=predictor_id.adapts)
     return whole.part(part).loops(job.plant, predictor, every=EVERY, samples=taken, progress=progress)
 
 
-def _errors(
-    plant: Plant, network: Predictor | None, P_hat: Mapping[str, np.ndarray], held_out: Mapping[str, Labelled],
-    fresh: Labelled,
-) -> dict[str, Any]:  # fmt: skip
-    """By key of Scores: errors on held-out rows of the first kind, on those of each, and on this evaluation's loops.
-
-    The numerical predictor's, which is no network, are 0: it is the reference.
-    """
-    if network is None:
-        exact = {kind: KindErrors(**EXACT.set_values, above=0.0) for kind in held_out}
-        return EXACT.set_values | {"kinds": exact, "fresh": EXACT}
-    kinds = accuracy.by_kind(plant, P_hat, held_out)
-    first = next(iter(kinds.values())).set_values
-    del first["above"]
-    return first | {"kinds": kinds, "fresh": accuracy.measure(plant, accuracy.predict(network, fresh), fresh)}
-
-
-def _warn(job: Job, covered: Mapping[str, Coverage]) -> None:
+def _warn(
+    job: Job, begin: Starts, covered: Mapping[str, Coverage], loops: Mapping[PredictorId, Trajectories],
+    models: Mapping[PredictorId, Scores],
+) -> None:  # fmt: skip
+    """Warn of loops that leave the data, that commands end, that stay at a bound, or that the guard answered."""
     for quantity, cover in covered.items():
-        cure = (
-            "widen generate's box or lengthen its t_end" if job.plant.declares_delay
-            else "widen generate's D_hat0 or narrow bounds" if quantity == "D_hat"
-            else "widen generate's box, D or D_hat0"
-        )  # fmt: skip
-        for contender, share in cover.outside.items():
-            if share > coverage.WARN:
+        cure = "widen generate's box, D or D_hat0"
+        if job.plant.declares_delay:
+            cure = "widen generate's box or lengthen its t_end"
+        elif quantity == "D_hat":
+            cure = "widen generate's D_hat0 or narrow bounds"
+        for network_id, share in cover.outside.items():
+            if share > behaviour.OUTSIDE:
                 low, high = cover.data
                 job.progress.warn(
-                    f"{contender.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "
+                    f"{network_id.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "
                     f"[{low:.3g}, {high:.3g}]; {cure}"
                 )
-
-
-def _warn_of_fallbacks(progress: Console, models: Mapping[PredictorId, Scores]) -> None:
-    for contender, scores in models.items():
+    behaviour.warn_of_overtaken(job.progress, {c: behaviour.overtaken(run) for c, run in loops.items()})
+    for predictor_id, run in loops.items():
+        if words := at_bound(run.part(begin.cases)):
+            job.progress.warn(f"{predictor_id.label}, cases: {words}")
+    for predictor_id, scores in models.items():
         if (scores.fallback or 0.0) > FALLBACKS:
-            progress.warn(
-                f"{contender.name}: the numerical predictor answered in {scores.fallback:.1%} of the loops' steps; "
+            job.progress.warn(
+                f"{predictor_id.name}: the numerical predictor answered in {scores.fallback:.1%} of the loops' steps; "
                 "train it longer, or on wider data, or raise evaluate.guard.tolerance"
             )
-
-
-def _draw(job: Job, result: Evaluated) -> None:
-    job.progress.doing("evaluate", "drawing")
-    data = figures.EvaluationData.read(job.folder, job.plant, job.config.evaluate, result)
-    kinds = figures.figure1, figures.figure1_bounded, figures.certificate, figures.coverage
-    for figure in filter(None, (kind(data) for kind in kinds)):
-        figures.write(figure, job.folder)

@@ -1,22 +1,14 @@
 """Rollouts with the numerical predictor: the training data."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from npred.lab.scheduler.declaration import Stage
+from npred.lab.scheduler.declaration import Slices, Stage
 
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
-
-STAGE = Stage(
-    __name__,
-    version=4,
-    upstream=(),
-    result_class="npred.lab.config.results:Generated",
-)
+STAGE = Stage(__name__, version=4, upstream=(), result_class="npred.lab.config.results:Generated")
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The table; data of a file enter by what they are."""
     from npred.lab.scheduler.configuration import content
 

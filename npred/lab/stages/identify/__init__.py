@@ -1,12 +1,9 @@
 """The delay and the parameters of a plant by a recording of it, and what the recording does not tell."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from npred.lab.scheduler.declaration import Stage
-
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
+from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
@@ -17,7 +14,7 @@ STAGE = Stage(
 )
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The table; the recording enters by what it holds, and the measured outputs by their formulas."""
     from npred.lab.scheduler.configuration import content, table
 

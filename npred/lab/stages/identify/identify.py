@@ -1,6 +1,5 @@
 """The identify stage: a recording read, the plant fitted to it, a page of what it tells."""
 
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from npred.lab.report.figures.figure import Figure, write
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.report import html_page, toml_text
-from npred.plants import Plant
 
 PAGE = "page.html"
 LAGS = 40
@@ -61,59 +59,50 @@ def run(job: Job) -> IdentifiedResult:
 
 
 def summary(result: IdentifiedResult, width: int | None = None) -> str:
-    """What is known, in sentences."""
+    """The answer in sentences."""
     return "\n".join(result.sentences)
 
 
 def _drawn(identified: Identified) -> dict[str, Any]:
-    """What the figures draw, as arrays."""
+    """The arrays that the figures draw."""
     estimate, log, m = identified.details["estimate"], identified.details["log"], identified.plant.m
     segments, fit = estimate.problem.segments, estimate.fit
     fitted = estimate.problem.outputs(fit)[segments.mask]
     profiles = {f"profile_{j}": np.stack([p.values, p.costs - p.costs.min()]) for j, p in enumerate(estimate.profiles)}
-    empty = np.zeros((0, m))
-    windows = identified.windows
+    r = np.nan_to_num(fit.residuals)  # along their segments
+    lags = range(min(LAGS, r.shape[1] - 1))
+    products = np.array([(r[:, k:] * r[:, : r.shape[1] - k]).sum() / max(r.shape[1] - k, 1) for k in lags])
+    empty, windows = np.zeros((0, m)), identified.windows
     return profiles | {
         "t": segments.t[segments.mask], "Y": segments.Y[segments.mask], "fitted": fitted, "t_U": log.t_U, "U": log.U,
         "D": identified.D, "interval": identified.interval, "level": estimate.level,
-        "autocorrelation": _autocorrelation(fit.residuals),
+        "autocorrelation": products / max(products[0], 1e-300),
         "window_t": windows.t if windows else empty[:, 0], "window_D": windows.D if windows else empty,
         "window_interval": windows.interval if windows else np.zeros((0, m, 2)),
     }  # fmt: skip
 
 
-def _autocorrelation(residuals: np.ndarray) -> np.ndarray:
-    """ρ_k of the residuals along their segments."""
-    r = np.nan_to_num(residuals)
-    products = [
-        (r[:, k:] * r[:, : r.shape[1] - k]).sum() / max(r.shape[1] - k, 1) for k in range(min(LAGS, r.shape[1] - 1))
-    ]
-    return np.array(products) / max(products[0], 1e-300)
-
-
 def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
-    table = job.config.optional("identify")
+    """The page, with a table of each delay and parameter and its interval."""
+    table, plant = job.config.optional("identify"), job.plant
+    ends = [*result.interval, *result.parameter_intervals.values()]
+    yes_or_no = ["yes" if certain else "no" for certain in result.identifiable] + ["–"] * len(result.parameters)
+    columns = [
+        Column("what", [*(f"delay of {name} ({plant.time_unit})" for name in result.inputs), *result.parameters]),
+        Column("value", [*result.D, *result.parameters.values()], digits=4),
+        Column("from", [low for low, _ in ends], digits=4),
+        Column("to", [high for _, high in ends], digits=4),
+        Column("identifiable", yes_or_no),
+    ]
     return html_page.filled(
-        (files("npred.lab.report") / "templates" / "identified.html").read_text(encoding="utf-8"),
+        html_page.text("identified.html"),
         name=job.config.name,
         about=f"What {Path(table.data).name} tells of plant {result.plant}: {result.samples} samples, one each "
-        f"{job.plant.time_text(result.period)} in the median.",
+        f"{plant.time_text(result.period)} in the median.",
         said=result.sentences,
         chapters=[],
         figures=figures,
-        table=_table(job.plant, result),
+        table=Table("identified", "With intervals of 95 %", columns),
         facts={"Recording": {"file": Path(table.data).name, "samples": str(result.samples)}},
         settings=toml_text.dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
     )
-
-
-def _table(plant: Plant, result: IdentifiedResult) -> Table:
-    """Each delay and parameter with its interval."""
-    names = [*(f"delay of {name} ({plant.time_unit})" for name in result.inputs), *result.parameters]
-    values = [*result.D, *result.parameters.values()]
-    ends = [*result.interval, *result.parameter_intervals.values()]
-    yes_or_no = ["yes" if certain else "no" for certain in result.identifiable] + ["–"] * len(result.parameters)
-    return Table("identified", "With intervals of 95 %", [
-        Column("what", names), Column("value", values, digits=4), Column("from", [low for low, _ in ends], digits=4),
-        Column("to", [high for _, high in ends], digits=4), Column("identifiable", yes_or_no),
-    ])  # fmt: skip

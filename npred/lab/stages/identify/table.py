@@ -26,5 +26,5 @@ class Identify(Section):
     model_error: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.05
 
     def with_file_names(self) -> dict[str, Any]:
-        """What is not left at its default, the recording being in the current folder."""
+        """The keys that differ from their defaults, with the recording in the current folder."""
         return self.model_dump(exclude_defaults=True) | {"data": Path(self.data).name}

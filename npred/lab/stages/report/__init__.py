@@ -1,11 +1,8 @@
 """All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from npred.lab.scheduler.declaration import Stage
-
-if TYPE_CHECKING:
-    from npred.lab.scheduler.configuration import Slices
+from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
@@ -15,7 +12,7 @@ STAGE = Stage(
 )
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The whole pipeline, which the page shows, and its labels."""
     from npred.lab.scheduler.configuration import table
 

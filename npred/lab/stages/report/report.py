@@ -1,43 +1,149 @@
-"""The report stage: all results of a pipeline as one HTML file that needs nothing else."""
+"""The report stage: all results of a pipeline as one HTML file that needs nothing else, and as figures for papers."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
-from npred.lab.config import FROZEN, Evaluate
-from npred.lab.config.results import Reported
+from npred.base import json_files
+from npred.lab.config import FROZEN, Evaluate, Pipeline
+from npred.lab.config.results import (
+    NO_ADAPTATION,
+    NUMERICAL,
+    Benched,
+    Certified,
+    Evaluated,
+    Generated,
+    PredictorId,
+    Reported,
+    Trained,
+    ranked,
+)
+from npred.lab.report import figures
+from npred.lab.report.figures import EvaluationData, Figure
+from npred.lab.report.figures.evaluation_data import OF
+from npred.lab.report.figures.latency import label
 from npred.lab.report.figures.notation import symbol
+from npred.lab.report.figures.style import short
+from npred.lab.report.figures.table import Table
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.bench import timing_tables
-from npred.lab.stages.report import html_page, toml_text
-from npred.lab.stages.report.report_data import CHAPTERS, PipelineResults, sentences
+from npred.lab.stages.bench import bench
+from npred.lab.stages.report import html_page, tables, toml_text
+from npred.loop import metrics
 from npred.plants import Plant
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
 POOR = 0.02  # relative L² error of a network: in pipelines that are meant to be used, less than a tenth of it
+CHAPTERS = (
+    ("loop", "The closed loop", ("figure1_bounded", "figure1"), ("loops",)),
+    ("radius", "Error and radius", ("certificate",), ()),
+    ("errors", "Where networks err", ("errors", "kinds", "box"), ("accuracy", "kinds")),
+    ("delays", "Delays and first estimates", ("delays",), ()),
+    ("scenarios", "Other conditions", ("scenarios",), ("scenarios",)),
+    ("certified", "With a confidence", ("certified",), ("certified",)),
+    ("training", "Training", ("learning",), ("training",)),
+    ("speed", "Speed", ("speed",), ("bench", "speed")),
+    ("coverage", "Coverage of the data", ("coverage",), ("coverage",)),
+)  # identifier, heading, figures, tables
+
+
+class PipelineResults:
+    """The results of the stages of one pipeline, read from their folders; all but certify have to be there."""
+
+    def __init__(self, config: Pipeline, plant: Plant, folders: dict[str, Path]) -> None:
+        self.config, self.plant = config, plant
+        self.keys = {name: folder.name for name, folder in folders.items()}
+        self.generated = Generated.read(folders["generate"])
+        self.trained = {name: Trained.read(folders[name]) for name in config.train.models}
+        self.evaluated, self.benched = Evaluated.read(folders["evaluate"]), Benched.read(folders["bench"])
+        self.evaluation = EvaluationData.read(folders["evaluate"], plant, config.evaluate, self.evaluated)
+        lines = {name: json_files.read(folders[name] / "metrics.jsonl").splitlines() for name in self.trained}
+        self.histories = {name: [*map(json_files.parse, each)] for name, each in lines.items()}
+        self.certified: Certified | None = None
+        self.rollout_errors: dict[PredictorId, np.ndarray] = {}  # the largest error of each rollout (N,), by network
+        if "certify" in folders:
+            self.certified = Certified.read(folders["certify"])
+            with h5py.File(folders["certify"] / "errors.h5", "r") as opened:
+                file: Any = opened
+                self.rollout_errors = {PredictorId.parse(str(name)): np.asarray(file[name]) for name in file}
+
+    def figures(self) -> dict[str, Figure]:
+        """Every figure by name, in order."""
+        histories = dict(zip(ranked(map(PredictorId, self.histories)), self.histories.values(), strict=True))
+        every = [
+            figures.figure1_bounded(self.evaluation),
+            figures.figure1(self.evaluation),
+            figures.certificate(self.evaluation),
+            figures.errors(self.evaluation),
+            figures.kinds(self.evaluation),
+            figures.box(self.evaluation),
+            figures.delays(self.evaluation),
+            figures.scenarios(self.plant, self.evaluated.scenarios),
+            figures.certified(self.plant, self.certified, self.rollout_errors),
+            figures.learning(histories),
+            figures.speed(self.benched.rows),
+            figures.coverage(self.evaluation),
+        ]
+        return {figure.name: figure for figure in every if figure}
+
+    def tables(self) -> dict[str, Table]:
+        """Every table by name, in order."""
+        every = [
+            tables.accuracy(self.evaluated),
+            tables.kinds(self.evaluated),
+            tables.loops(self.evaluated),
+            tables.scenarios(self.plant, self.evaluated),
+            self.certified and tables.certified(self.certified),
+            tables.training(self.trained),
+            tables.speed(self.benched.rows),
+            tables.by_dx(self.benched.rows),
+            tables.outside(self.plant, self.evaluated.coverage),
+        ]
+        return {table.name: table for table in every if table}
 
 
 def run(job: Job) -> Reported:
-    """Write report.html from what the other stages left; the same bytes for the same results.
+    """Write report.html from the results of the other stages; the same bytes for the same results.
 
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
     """
-    results = PipelineResults.read(job.config, job.plant, job.inputs)
+    results = PipelineResults(job.config, job.plant, job.inputs)
     job.progress.doing("report", "drawing")
     text = sentences(job.plant, results.evaluated, results.benched)
+    drawn, tabulated = results.figures(), results.tables()
+    chapters = [
+        {
+            "id": name,
+            "title": title,
+            "figures": [drawn[each] for each in shown if each in drawn],
+            "notes": bench.sentences(results.benched) if name == "speed" else [],
+            "tables": [tabulated[each] for each in below if each in tabulated],
+        }
+        for name, title, shown, below in CHAPTERS
+        if drawn.keys() & {*shown}
+    ]
+    config, plant, hardware = job.config, job.plant, results.benched.hardware
+    parameters = {name: f"{value:g}" for name, value in plant.parameters.items()}
+    data = {"samples": results.generated.samples, "rollouts": results.generated.rollouts}
+    facts = {
+        "Question": {"pipeline": config.name, "seed": config.seed, "plant": plant.name} | parameters | data,
+        "Results": results.keys,
+        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
+    }
     page = html_page.filled(
         html_page.text("page.html"),
-        name=job.config.name,
-        about="; ".join(_about(job.plant, job.config.evaluate)),
+        name=config.name,
+        about="; ".join(_about(plant, config.evaluate)),
         said=text,
         caution=_caution(results),
-        chapters=_chapters(results),
+        chapters=chapters,
         folded=FOLDED,
-        facts=_facts(results),
-        files=job.config.files,
-        settings=toml_text.dumps(job.config.with_file_names().model_dump()),
+        facts=facts,
+        files=config.files,
+        settings=toml_text.dumps(config.with_file_names().model_dump()),
     )
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=text, bytes=len(page.encode()))
@@ -45,21 +151,6 @@ def run(job: Job) -> Reported:
 
 def summary(result: Reported, width: int | None = None) -> str:
     return "\n".join(result.summary)
-
-
-def _chapters(results: PipelineResults) -> list[dict[str, Any]]:
-    figures, tables = results.figures(), results.tables()
-    return [
-        {
-            "id": name,
-            "title": title,
-            "figures": [figures[each] for each in shown if each in figures],
-            "notes": timing_tables.sentences(results.benched) if name == "speed" else [],
-            "tables": [tables[each] for each in below if each in tables],
-        }
-        for name, title, shown, below in CHAPTERS
-        if figures.keys() & {*shown}
-    ]
 
 
 def _caution(results: PipelineResults) -> str:
@@ -75,7 +166,7 @@ def _caution(results: PipelineResults) -> str:
 
 
 def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
-    """The plant, its delay, and what of the loop is not as in the paper."""
+    """The plant, its delay, and the parts of the loop that are not as in the paper."""
     states, inputs = (", ".join(symbol(plant, name) for name in names) for names in (plant.states, plant.inputs))
     yield f"{plant.name}: states {states}"
     yield f"inputs {inputs}"
@@ -92,27 +183,74 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield f"the state estimated by {config.observer.kind}"
     if config.safety:
         yield f"limits kept by a filter with α = {config.safety.alpha:g}"
-    settings = vars(config.measurement).items()
-    if sensors := [f"{key} {_sensor(plant, key, value)}" for key, value in settings if np.any(value)]:
+    sensors = []
+    for key, value in vars(config.measurement).items():
+        if np.any(value):  # noise, jitter and drop are shares
+            unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
+            numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
+            sensors.append(f"{key} {' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip())
+    if sensors:
         yield f"measurements with {', '.join(sensors)}"
     if config.truth or config.disturbance.amplitude:
         yield "the simulated plant is not the controller's model"
 
 
-def _sensor(plant: Plant, key: str, value: float | list[float]) -> str:
-    """A setting of the sensors with its unit: noise, jitter and drop are shares."""
-    unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
-    numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
-    return f"{' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip()
+def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
+    """A run in three sentences with their numbers: the error, the closed loop, the time of a call."""
+    networks = [each for each in evaluated.models if each.is_network and each.epoch is None]
+    return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
 
 
-def _facts(results: PipelineResults) -> dict[str, dict[str, Any]]:
-    """The origin of the numbers, in three lists: the question, the results' keys, the machine that was timed."""
-    config, plant, hardware = results.config, results.plant, results.benched.hardware
-    parameters = {name: f"{value:g}" for name, value in plant.parameters.items()}
-    data = {"samples": results.generated.samples, "rollouts": results.generated.rollouts}
-    return {
-        "Question": {"pipeline": config.name, "seed": config.seed, "plant": plant.name} | parameters | data,
-        "Results": results.keys,
-        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
-    }
+def _errors(evaluated: Evaluated, networks: list[PredictorId]) -> str:
+    rows = [evaluated.models[network] for network in networks]
+    largest = [
+        f"{short(row.eps_sup)} for the {network.label} (mean square {short(row.mse)})"
+        for network, row in zip(networks, rows, strict=True)
+    ]
+    first, *others = evaluated.kinds
+    samples = f"{evaluated.held_out:,} held-out samples of {OF[first]}"
+    parts = [f"On {samples} the largest error of a prediction is {_and(largest)}"]
+    for kind in others:
+        errors = [short(row.kinds[kind].eps_sup) for row in rows]
+        parts.append(f"on {evaluated.kinds[kind].rows:,} of {OF[kind]} it is {_and(errors)}")
+    return "; ".join(parts) + "."
+
+
+def _loops(plant: Plant, evaluated: Evaluated, networks: list[PredictorId]) -> str:
+    radii = {predictor: scores.radius for predictor, scores in evaluated.models.items()}
+    counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
+    counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
+    delay = "with the delay estimate held"
+    if NO_ADAPTATION in radii:
+        counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
+        delay = "with a delay that the controller does not know"
+    if plant.declares_delay:
+        delay = "with a delay that the plant declares"
+    near = f"{100 * metrics.SETTLED:g} % of the reference"
+    if plant.rests:
+        near = f"{short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
+    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end within {near}."
+
+
+def _speed(benched: Benched) -> str:
+    """The fastest call of a network on the finest grid, and the fastest method that is as accurate."""
+    finest = min((row.dx for row in benched.table), default=0.0)
+    networks = [row for row in benched.table if row.is_network and row.dx == finest]
+    if not networks:
+        return "No network was timed."
+    row = min(networks, key=lambda row: row.median_us)
+    text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}"
+    if row.speedup_published is not None:  # inputs with several delays have no published predictor
+        text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
+    for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
+        method = bench.method_on(crossover.best, crossover.best_steps)
+        text += (
+            f"; {method} is as accurate in {crossover.best_us:.1f} µs as the network"
+            f" at dx = {crossover.dx:.3g} in {crossover.network_us:.1f} µs"
+        )
+    return f"{text}."
+
+
+def _and(texts: list[str]) -> str:
+    """a, b and c."""
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if texts[1:] else texts)

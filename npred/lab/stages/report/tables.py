@@ -1,4 +1,4 @@
-"""The tables of results, for the report, papers and the terminal: what each stage's result says."""
+"""The tables of results, for the report, papers and the terminal."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -33,7 +33,7 @@ ABOUT = {
     "p999_us": "quantile of the calls, µs",
     "speedup_published": "times as fast as interpreted O(nx²) sums on the same dx",
     "speedup_compiled": "times as fast as compiled Euler on the same dx",
-}  # below a table: what the headings of these values mean
+}  # below a table: the meaning of these headings
 CERTIFIED = {
     "median": "of the largest error of U of each rollout",
     "adversarial": "largest error of U that a search came to",
@@ -123,14 +123,13 @@ def loops(evaluated: Evaluated) -> Table:
         Column("radius, U bounded", [end and end.radius for end in bounded], digits=2, about=within),
         Column(f"{D} at the end of that", [end and end.D_hat_end for end in bounded], ".3f"),
         Column(f"sup |P(1, t) − X({acts})|", in_loop, digits=2, about=checked),
-        *_fallback(rows),
-        *_limits(rows),
+        *_interventions(rows),
     ]
     return Table("loops", "Closed loops", [column for column in columns if any(v is not None for v in column.values)])
 
 
 def scenarios(plant: Plant | None, evaluated: Evaluated) -> Table | None:
-    """What the loops of each scenario do; None without scenarios. Without the plant, times have no unit."""
+    """The loops of each scenario; None without scenarios. Without the plant, times have no unit."""
     rows = [(scenario, c.label, does) for scenario in evaluated.scenarios for c, does in scenario.models.items()]
     if not rows:
         return None
@@ -145,22 +144,18 @@ def scenarios(plant: Plant | None, evaluated: Evaluated) -> Table | None:
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
         *_columns(does, {"lost": "lost"}, "d"),
         *_columns(does, {key: timed(plant, head) if plant else head for key, head in times.items()}),
-        *_fallback(does),
-        *_limits(does),
+        *_interventions(does),
     ]
     return Table("scenarios", "The cases under other conditions", columns)
 
 
-def _fallback(rows: Sequence[Any]) -> list[Column]:
-    """The share of steps in which the numerical predictor answered, where networks are guarded."""
-    guarded = any(row.fallback is not None for row in rows)
-    return _columns(rows, {"fallback": "fallback"}, ".2%") if guarded else []
-
-
-def _limits(rows: Sequence[Any]) -> list[Column]:
-    """How the limits of a plant that declares any are kept, and what a safety filter does."""
-    limits = [row.limits for row in rows if row.limits]
-    columns = _columns(limits, {"least": "least h"}, digits=3) if limits else []
+def _interventions(rows: Sequence[Any]) -> list[Column]:
+    """The share of steps in which the numerical predictor answered, where networks are guarded; how the limits of a
+    plant that declares any are kept, and the work of a safety filter.
+    """
+    guarded, limits = any(row.fallback is not None for row in rows), [row.limits for row in rows if row.limits]
+    columns = _columns(rows, {"fallback": "fallback"}, ".2%") if guarded else []
+    columns += _columns(limits, {"least": "least h"}, digits=3) if limits else []
     if any(each.filtered is not None for each in limits):
         columns += _columns(limits, {"filtered": "filtered"}, ".2%")
         columns += _columns(limits, {"unkept": "steps without a way"}, "d")
@@ -174,10 +169,8 @@ def _kept(scores: Scores, exact: Scores) -> int | None:
     return int((np.array(scores.map.converged) & np.array(exact.map.converged)).sum())
 
 
-def certified(result: Certified | None) -> Table | None:
-    """What is known of each network's error of U, and of its loops; None without a certificate."""
-    if result is None:
-        return None
+def certified(result: Certified) -> Table:
+    """Each network's error of U, and its loops."""
     rows = list(result.models.values())
     heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median"}
     counts = {"lost": "lost", "lost_guarded": "guarded"}

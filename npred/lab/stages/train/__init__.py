@@ -3,11 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 from npred.base import registry
-from npred.lab.scheduler.declaration import Stage
+from npred.base.progress import counted
+from npred.lab.scheduler.declaration import Slices, Stage
 
 if TYPE_CHECKING:
     from npred.lab.config.results import Trained
-    from npred.lab.scheduler.configuration import Slices
 
 STAGE = Stage(
     __name__,
@@ -19,7 +19,7 @@ STAGE = Stage(
 )
 
 
-def key(slices: "Slices") -> dict[str, Any]:
+def key(slices: Slices) -> dict[str, Any]:
     """The network's table; a network of a file enters by what that holds."""
     from npred.lab.config import Network
     from npred.lab.scheduler.configuration import table
@@ -31,8 +31,6 @@ def key(slices: "Slices") -> dict[str, Any]:
 
 
 def summary(result: "Trained", width: int | None = None) -> str:
-    """In a line. The rest of the stage brings torch."""
-    from npred.base.progress import counted
-
+    """In a line; train.py brings torch."""
     size = f"{result.parameters} parameters, {counted(result.epochs, 'epochs')} of {counted(result.samples, 'samples')}"
     return f"{result.model}: {size}; held-out rollouts: MSE {result.mse:.3g}, sup error {result.eps_sup:.3g}"

@@ -7,7 +7,6 @@ from threading import Lock
 
 import torch
 
-from npred import plants
 from npred.base import randomness
 from npred.lab.config import Training
 from npred.lab.config.results import Trained
@@ -15,7 +14,7 @@ from npred.lab.scheduler.job import Job
 from npred.lab.training import loss, training_loop
 from npred.lab.training.captured import own_stream
 from npred.lab.training.data import shards
-from npred.lab.training.operators import Operator, Scaling, checked, save
+from npred.lab.training.operators import Scaling, checked, save
 from npred.lab.training.rows import Fit, Rows, Stream
 from npred.networks.domain import Domain
 from npred.networks.weights import file_of
@@ -56,16 +55,11 @@ def _task(job: Job, config: Training, path: Path) -> Fit:
     seed = randomness.integer(job.config.seed, "train", str(job.model))
     stream = Stream(path, job.device, config.nodes, job.plant.phase)
     scaling = Scaling.of_parts(stream.parts) if streamed else Scaling.of(fitted)
-    operator = _untrained(job.plant, config, scaling, seed)
+    with SEEDING, torch.random.fork_rng(devices=[]):  # the same weights for the same seed, whatever was drawn before
+        torch.manual_seed(seed)
+        operator = checked(config, job.plant, scaling)
     parts = stream.parts if streamed else lambda: [fitted]
     operator.domain = Domain.of_parts(parts, scaling.X_bend.double().cpu().numpy(), job.plant.phase)
     criterion = loss.Criterion(config.rows, loss.weights(config, job.plant, rows.P))
     operator = operator.to(job.device)  # and the scaling with it, which the domain was made of
     return Fit(f"train {job.model}", operator, config, stream if streamed else rows, test, criterion, seed)
-
-
-def _untrained(plant: plants.Plant, config: Training, scaling: Scaling, seed: int) -> Operator:
-    """The same weights for the same seed, whatever was drawn before; torch's generator is left as it was."""
-    with SEEDING, torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return checked(config, plant, scaling)

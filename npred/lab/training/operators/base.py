@@ -136,7 +136,7 @@ def kinds(table: NetworkTable, plant: Plant) -> dict[str, tuple[tuple[int, ...],
 
 def save(folder: Path, operator: Operator, config: Training) -> None:
     """Write the files that npred.networks.weights.read reads, `config` without the folders of its files."""
-    config = config.moved(lambda path: Path(path).name)
+    config = config.map_paths(lambda path: Path(path).name)
     files.save(folder, operator, config, config.model_dump(mode="json"))
 
 
