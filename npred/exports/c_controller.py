@@ -25,7 +25,8 @@ LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what
 WHAT = "export controller"
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = "recalls keeps gated observer_count offsets watched holds output_count end_count pulls filter_count"
+FLAGS = "reads_commands stores_commands gated offsets watched holds pulls"
+COUNTS = "observer_count output_count end_count filter_count"
 ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
 
 
@@ -58,8 +59,8 @@ def sources(
         parts = parts | {"predict": fused.on(network.nx)}
     kernels = {part: kernel for part, kernel in parts.items() if kernel}
     variants = {
-        "RECALLS": bool(controller.settings.recalls),
-        "KEEPS": controller.keeps_commands,
+        "READS_COMMANDS": bool(controller.settings.reads_commands),
+        "KEEPS_COMMANDS": controller.keeps_commands,
         "WATCHES": "observe" in kernels,
         "FILTERS": controller.observer is not None,
         "TUNABLE": tunable,
@@ -97,7 +98,7 @@ def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exp
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
     low, high = controller.settings.bounds.tolist()
-    return low, min(high, controller.longest_D_hat) if controller.settings.recalls else high
+    return low, min(high, controller.longest_D_hat) if controller.settings.reads_commands else high
 
 
 def digest(header: str) -> str:
@@ -110,7 +111,7 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
     sizes |= {"N_OUTPUTS": len(controller.outputs)}
-    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS"] else {}
+    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS_COMMANDS"] else {}
     sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
     sizes |= {"ENDS": len(z.moments)} if variants["PROTECTS"] else {}
@@ -144,7 +145,7 @@ def _settings(
     arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
     values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
-    values |= {name: str(int(getattr(settings, name))) for name in FLAGS.split()}
+    values |= {name: str(int(getattr(settings, name))) for name in f"{FLAGS} {COUNTS}".split()}
     values |= {name: f"({real} *)the_{name}" for name in ARRAYS.split()}
     shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
@@ -181,7 +182,7 @@ def _test(controller: Controller, real: str) -> str:
     arrays = {"X": test.X, "U": U, "D_hat": D_hat, "size": np.append(np.where(size > 0, size, 1.0), D_hat.max() or 1.0)}
     arrays |= {"u": test.u} if test.u.size else {}
     vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
-    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.recalls else {})
+    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
     single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # of a network
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)

@@ -41,7 +41,7 @@ class Test(NamedTuple):
 
 def designed(controller: Controller) -> tuple[Test, float]:
     """The calls that test a controller, and how much larger an error of a sample is in U."""
-    draw = _recalled if controller.settings.recalls else _measured
+    draw = _recalled if controller.settings.reads_commands else _measured
     least, best = np.inf, None
     for size in SIZES:
         test = draw(controller, size)
@@ -88,7 +88,7 @@ class _Player:
 
     def _step(self, s: int, does: int, t: float, taken: float, X: np.ndarray) -> np.ndarray:
         twin = self.twin
-        if not twin.settings.recalls:
+        if not twin.settings.reads_commands:
             u, other = (self.u[(s + k) % len(self.u)] for k in (0, 1))
             return twin.step(X, u, other if does & STAMPED else None)
         if not does & STAMPED:

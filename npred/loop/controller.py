@@ -106,8 +106,8 @@ class Controller(InNotebook):
         law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, loop.input_bounds)
         self.actuator, self._u0 = loop.actuator, inputs.start(plant, loop.u0, self._limits)
         self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
-        self._recalls, self._watches = loop.actuator == HISTORY, law.memory > 1
-        self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
+        self._reads_commands, self._watches = loop.actuator == HISTORY, law.memory > 1
+        self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
         gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
         if gate is not None and not 0 < gate < math.inf:
             raise ConfigError(
@@ -119,17 +119,18 @@ class Controller(InNotebook):
         if safety is not None:
             loop_checks.protected(plant, safety, self.dt)
         self._check_clocked()
-        self._oldest = math.floor(sample_age(loop.max_sample_age, self.dt)) if self._recalls else 0
+        self._oldest = math.floor(sample_age(loop.max_sample_age, self.dt)) if self._reads_commands else 0
         self.parts = {
-            "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
+            "observe": law.observe, "model_delay": problem_of(plant).horizon(), "predict": predictor.lanes(),
             "guard": predictor.guard, "control": law.control, "update": law.update,
-            "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
+            "model": engine.advance_kernel(plant, RK4) if self._reads_commands else None,
             "follow": observer and observer.follow, "correct": observer and observer.correct,
-            "relief": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
+            "watchdog_law": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
         }  # fmt: skip
         self.settings = signals.settings(
-            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, recalls=self._recalls, keeps=self._recalls,
-            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._recalls and gate is not None,
+            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
+            reads_commands=self._reads_commands, stores_commands=self._reads_commands,
+            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
             observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
             offsets=bool(observer and observer.offset), output_count=len(self.outputs),
             watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
@@ -281,9 +282,9 @@ class Controller(InNotebook):
         DivergedError
             For a measurement that is not finite, or that the prediction leaves the finite numbers from.
         """
-        if (u is None) != self._recalls or (X is None and not self._recalls):
+        if (u is None) != self._reads_commands or (X is None and not self._reads_commands):
             expected, came = (
-                ("X alone", "u too") if self._recalls else ("X and u", "u alone" if X is None else "X alone")
+                ("X alone", "u too") if self._reads_commands else ("X and u", "u alone" if X is None else "X alone")
             )
             raise ConfigError(
                 f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
@@ -324,7 +325,7 @@ class Controller(InNotebook):
         if self.keeps_commands:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self._clock.state()}
-        if self._recalls:
+        if self._reads_commands:
             X_hat = self._clock.now.tolist() if np.isfinite(self._clock.now).all() else None
             remembered |= {"X_hat": X_hat, "missed": self.missed}
         if self.observer:
@@ -388,9 +389,9 @@ class Controller(InNotebook):
         """Raise ConfigError for parts that need the commands' history, where it has none, or are of another plant."""
         parts = {"max_sample_age": self.max_sample_age, "observer": self.observer, "watchdog": self.watchdog}
         for name, value in parts.items():
-            if value is not None and not self._recalls:
+            if value is not None and not self._reads_commands:
                 raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
-        if self.safety is not None and self.safety.delay and not self._recalls:
+        if self.safety is not None and self.safety.delay and not self._reads_commands:
             raise ConfigError(f'safety: an uncertain delay expected actuator="history", got {self.actuator!r}; give it')
         if self.observer is not None and not isinstance(self.observer, Observer):
             raise ConfigError(f"observer: expected one of npred.observers, got {self.observer!r}; make one")
@@ -428,7 +429,7 @@ class Controller(InNotebook):
         """The seconds that commands are kept for."""
         needed = max(D_hat, float(self.settings.bounds[1]) if self.adaptation else 0.0)
         if longest is None:
-            reads = self._recalls and self.plant.declares_delay
+            reads = self._reads_commands and self.plant.declares_delay
             return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
         if not needed <= (seconds := array_checks.number("history_length", longest)) < math.inf:
             least = self.plant.time_text(needed)
@@ -446,7 +447,7 @@ class Controller(InNotebook):
         self._kept_for = (int(longest / self.dt) + self._oldest + 0.5) * self.dt if self._oldest else longest
         held, total = history(self._kept_for, self._kept_for, self.dt, self._past(np.zeros(n)))[1:]
         self._clock, Y = Clock(n, m, len(self.outputs)), np.zeros((n, 1))
-        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._recalls else Y, "held": held, "total": total}
+        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._reads_commands else Y, "held": held, "total": total}
         arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
         arrays |= {"error": np.full(1, np.nan), "clock": self._clock.memory[:, None]}
         if self.observer:
@@ -488,7 +489,7 @@ class Controller(InNotebook):
     def _gap(self, t: Any) -> float:
         """The control steps from the last call to one at t. Raises ConfigError for a time that is not after it."""
         now = array_checks.number("t", t)
-        if not self._recalls:
+        if not self._reads_commands:
             raise ConfigError(f't: expected actuator="history", got {self.actuator!r}, whose calls are each dt; omit t')
         if abs(now - self.t) <= SNAP * self.dt:
             return 1.0
@@ -508,7 +509,7 @@ class Controller(InNotebook):
             raise ConfigError(
                 f"sampled_at: expected a time up to that of the call, {now:.9g}, got {sampled_at!r}; use one clock"
             )
-        if not self._recalls and age > SNAP:
+        if not self._reads_commands and age > SNAP:
             raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
         return max(_snapped(age), 0.0)
 
@@ -548,7 +549,7 @@ class Controller(InNotebook):
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
-        if self._recalls and seconds > self.longest_D_hat:
+        if self._reads_commands and seconds > self.longest_D_hat:
             raise ConfigError(
                 f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
                 f"{seconds:g}; make another controller with that D_hat"
@@ -572,7 +573,7 @@ class Controller(InNotebook):
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
         self._Y[:] = X
-        if not self._recalls:
+        if not self._reads_commands:
             self._u[:], self._u_nodes[:] = u, u_nodes
 
     def _as_applied(self, applied: Any) -> np.ndarray:

@@ -138,7 +138,7 @@ def _function(name: str, part: Any, settings: Settings, state: State, failure: F
     return callback(part, PARTS[name], fixed | {"p": settings.truth_p if name in TRUE else settings.p}, failure)
 
 
-TRUE = ("horizon", "pace", "advance", "output")  # parts of the simulated plant, which may have other parameters
+TRUE = ("horizon", "delay_speed", "advance", "output")  # parts of the simulated plant, which may have other parameters
 
 
 def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:

@@ -96,7 +96,9 @@ SETTINGS = [
     Signal("oldest", None, 0.0),  # how late a sample may come, in control steps
     Signal("after", None, 0.0),  # how long a watchdog waits for one, in seconds
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
-    *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated", "offsets", "watched", "holds")),
+    Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
+    Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
+    *(Signal(name, None, 0, "int") for name in ("gated", "offsets", "watched", "holds")),
     Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
     Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
@@ -149,10 +151,10 @@ EVENTS = [  # of one loop on a real clock; times since its start, in control ste
     Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost
 ]
 PARTS = {
-    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "believe": family.HORIZON,
+    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "model_delay": family.HORIZON,
     "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
-    "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
-    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL, "output": family.OUTPUT,
+    "delay_speed": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
+    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "watchdog_law": family.CONTROL, "output": family.OUTPUT,
     "exact": family.PREDICT, "protect": family.PROTECT,
 }  # fmt: skip
 
