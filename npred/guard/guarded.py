@@ -50,7 +50,7 @@ class Guarded(Predictor):
     name: ClassVar[str] = "guarded"
 
     def __init__(
-        self, model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
+        self, model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None
     ) -> None:  # fmt: skip
         if not isinstance(model, Predictor):
             raise ConfigError(f"guarded: expected a Predictor, got {model!r}; load one with npred.load")
@@ -59,13 +59,11 @@ class Guarded(Predictor):
         super().__init__(model.plant, model.nx)
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
-        if by not in ("auto", "shadow"):
-            raise ConfigError(f"by: expected auto or shadow, the only estimate there is, got {by!r}; leave it out")
         if self.nx < FEWEST:
             raise ConfigError(
                 f"guarded: expected a model on {FEWEST} nodes or more, got {self.nx}; load it with another nx"
             )
-        self.model, self.tolerance, self.by, self._exact = model, float(tolerance), "shadow", exact
+        self.model, self.tolerance, self._exact = model, float(tolerance), exact
         self.name = f"guarded {model.name}"  # type: ignore[misc]
 
     @property
@@ -94,7 +92,7 @@ class Guarded(Predictor):
     @cached_property
     def settings(self) -> np.ndarray:
         """What the kernel is set to: tolerance, the limit of the distance, the levels, and the domain."""
-        return self._set(self.threshold, self.reference[1], self.domain)
+        return self._set(self.threshold, self.reference[1])
 
     @cached_property
     def reference(self) -> tuple[str, list[int]]:
@@ -134,7 +132,7 @@ class Guarded(Predictor):
         steps = float(levels[0])
         for pair in pairwise(levels):
             steps += left.mean() * pair[1]
-            settings = self._set(self.threshold / 2, [*pair], self.domain)
+            settings = self._set(self.threshold / 2, [*pair])
             left &= self._run(settings, P, *self.examples.calls, run=self._kernel(name))[2]
         return float(left.mean()), steps * kind.operations(self.plant) * kind.steps_of_pair
 
@@ -227,7 +225,8 @@ class Guarded(Predictor):
         by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 
-    def _set(self, tolerance: float, levels: list[int], domain: Domain | None = None) -> np.ndarray:
+    def _set(self, tolerance: float, levels: list[int]) -> np.ndarray:
+        domain = self.domain
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
         return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.T.ravel()) if domain else ())])
@@ -250,14 +249,8 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
-    sizes |= {
-        "ON_CELLS": int(cells),
-        "SIGNED": int(signed),
-        "SHADOWS": shadows,
-        "ORDER": method.order,
-        "LEVELS": LEVELS,
-    }
-    sizes |= {} if plant.traced else {"FOREIGN": ""}
+    sizes |= {"ON_CELLS": int(cells), "SIGNED": int(signed), "SHADOWS": shadows}
+    sizes |= {"ORDER": method.order, "LEVELS": LEVELS} | ({} if plant.traced else {"FOREIGN": ""})
     guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
     if plant.traced:
         return guard
@@ -277,9 +270,7 @@ def bare(predictor: Predictor) -> Predictor:
     return getattr(predictor, "model", predictor)
 
 
-def guarded(
-    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
-) -> Predictor:  # fmt: skip
+def guarded(model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None) -> Predictor:
     """`model`, checked in every call: `exact` answers where |kappa(P̂(1)) - kappa(P(1))| is estimated to be above
     `tolerance`; see Guarded.
 
@@ -291,8 +282,6 @@ def guarded(
         A network from npred.load, or any other.
     tolerance : float, in the inputs' units, default 0.01
         Largest error of U that is to pass.
-    by : "auto" or "shadow", default "auto"
-        The estimate; there is one.
     exact : Predictor, optional
         Answers in place of the model; by default RK4, or what suits the data that a trained model carries.
 
@@ -306,4 +295,4 @@ def guarded(
     ConfigError
         For a tolerance that is not above 0, and for a model on fewer than five nodes.
     """
-    return Guarded(model, tolerance, by, exact=exact)
+    return Guarded(model, tolerance, exact=exact)

@@ -14,6 +14,11 @@ ROUNDING = 1e-9  # of a control step: positions this close to a step's start are
 SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
 
 
+def snapped(steps: np.ndarray | float) -> np.ndarray:
+    """Numbers of control steps, whole where they are nearly."""
+    return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
+
+
 def _kernel(name: str, arguments: str, which: int) -> Kernel:
     return made(name, arguments, skeleton("history.h"), {}, {"WHICH": which}, before=[skeleton("actuator.h")])
 

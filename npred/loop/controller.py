@@ -3,6 +3,7 @@
 import math
 import operator
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
@@ -10,15 +11,13 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
-from npred.estimation.delay_law import DelayLaw, part
-from npred.estimation.observers import Observer
+from npred.estimation.delay_law import DelayLaw, Part, part
 from npred.loop import engine, loop_checks, signals
-from npred.loop.actuator import ROUNDING, SNAP, history
+from npred.loop.actuator import ROUNDING, SNAP, history, snapped
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
-from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
+from npred.loop.loop import REALITY, ControllerParts, Loop
 from npred.loop.status import Status
-from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -94,66 +93,108 @@ class Controller(InNotebook):
     """
 
     def __init__(self, loop: Loop) -> None:
-        plant, predictor, safety = loop.plant, loop.predictor, loop.safety
-        loop_checks.parts(plant, predictor, loop.adaptation)
-        loop_checks.actuator_state(loop.actuator)
+        plant, predictor, law = loop.plant, loop.predictor, loop.adaptation
+        loop_checks.parts(loop)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
-        if not 0 < (seconds := array_checks.number("dt", loop.dt)) < math.inf:
+        if not 0 < (dt := array_checks.number("dt", loop.dt)) < math.inf:
             raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
-        adaptation = loop.adaptation and self._suited(plant, loop.adaptation, loop.D_hat)
-        self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
-        law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, loop.input_bounds)
-        self.actuator, self._u0 = loop.actuator, inputs.start(plant, loop.u0, self._limits)
-        self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
-        self._reads_commands, self._watches = loop.actuator == HISTORY, law.memory > 1
-        self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
         gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
         if gate is not None and not 0 < gate < math.inf:
             raise ConfigError(
                 f"outlier_limit: expected a number above 0, or None for no limit, got {gate!r}; 1 is the default"
             )
-        self.outlier_limit, self.max_sample_age = gate, loop.max_sample_age
-        self.observer, self.watchdog, self.safety = loop.observer, loop.watchdog, safety
-        observer, watchdog = loop.observer, loop.watchdog
-        if safety is not None:
-            loop_checks.protected(plant, safety, self.dt)
-        self._check_clocked()
-        self._oldest = math.floor(sample_age(loop.max_sample_age, self.dt)) if self._reads_commands else 0
-        self.parts = {
-            "observe": law.observe, "model_delay": problem_of(plant).horizon(), "predict": predictor.lanes(),
-            "guard": predictor.guard, "control": law.control, "update": law.update,
-            "model": engine.advance_kernel(plant, RK4) if self._reads_commands else None,
-            "follow": observer and observer.follow, "correct": observer and observer.correct,
-            "watchdog_law": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
-        }  # fmt: skip
-        self.settings = signals.settings(
-            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
-            reads_commands=self._reads_commands, stores_commands=self._reads_commands,
-            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
-            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
-            offsets=bool(observer and observer.offset), output_count=len(self.outputs),
-            watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
-            holds=bool(watchdog and watchdog.holds), rescue=watchdog.rescue(plant.m) if watchdog else np.zeros(0),
-            jump=watchdog.jumps(plant.m) if watchdog else np.zeros(0),
-            sensing=observer.settings if observer else np.zeros(0), pulls=bool(observer and observer.pulls),
-            filter_count=len(observer.start()) if observer else 0,
-            anew=observer.anew()[0] if observer else _box(plant).mean(axis=0),
-            widens=observer.anew()[1] if observer else np.zeros(0),
-            bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
-            input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
-            guard=np.zeros(0) if predictor.settings is None else predictor.settings,
-            reach=(gate or 1.0) * _half_widths(plant),
-            **(safety.settings(self.dt, self._limits) if safety else {}),
-        )  # fmt: skip
-        D_hat = self._start(loop.D_hat)
-        array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
+        if loop.safety is not None:
+            loop.safety.check(plant, dt)
+        if not loop.reads_commands:
+            wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
+            for name in ("max_sample_age", "observer", "watchdog"):
+                if getattr(loop, name) is not None:
+                    raise ConfigError(f"{name}: {wrong}, or no {name}")
+            if loop.safety is not None and loop.safety.delay:
+                raise ConfigError(f"safety: an uncertain delay {wrong}")
+        age = OLDEST * dt if loop.max_sample_age is None else array_checks.number("max_sample_age", loop.max_sample_age)
+        if not 0 <= age < math.inf:
+            what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
+            raise ConfigError(f"max_sample_age: {what}; give a time")
+        self._oldest = math.floor(age / dt * (1 + 1e-12)) if loop.reads_commands else 0  # in control steps
+        law, D_hat = self._first_estimate(loop)
+        limits = inputs.bounds(plant, loop.input_bounds)
+        u0 = inputs.start(plant, loop.u0, limits)
+        self._loop = replace(loop, dt=dt, adaptation=law, input_bounds=limits, u0=u0, outlier_limit=gate)
+        self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
+        self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
+        kernels = part(plant, law, dt)
+        self._reads_commands, self._watches = loop.reads_commands, kernels.memory > 1
+        self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
+        self._by_law = isinstance(u0, str) and u0 == inputs.LAW
+        self.parts, self.settings = self._kernels(kernels), self._set(kernels)
+        array_checks.within(
+            "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
+        )
         self._first_D_hat, self._awaits_X = D_hat, False
-        self._take_memory(law.memory, self._kept(D_hat, loop.history_length))
+        self._take_memory(kernels.memory, D_hat)
         self._set_state(D_hat, None, 0, 0.0)
         self._reset_clock(None)
         self._warm_up()
         self._awaits_X = self._by_law  # for the commands before the first step
+
+    @staticmethod
+    def _first_estimate(loop: Loop) -> tuple[DelayLaw | None, float]:
+        """The law, complete, for a delay of D_hat or else of the middle of its bounds; and the first D_hat."""
+        plant, law, D_hat = loop.plant, loop.adaptation, loop.D_hat
+        if law is not None:
+            if D_hat is None and law.bounds is None:
+                what = "expected a first estimate in seconds, for the law has no bounds, got none"
+                raise ConfigError(f"D_hat: {what}; give D_hat")
+            D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
+            array_checks.delays("D_hat", D)
+            law = law.suited(plant, D, D)
+        elif D_hat is None and not plant.declares_delay:
+            what = f"expected a delay in {plant.time_unit}, for nothing adapts it, got none"
+            raise ConfigError(f"D_hat: {what}; give D_hat")
+        if D_hat is None:
+            D_hat = 0.0 if law is None or plant.declares_delay else sum(law.bounds) / 2
+        return law, D_hat
+
+    def _kernels(self, law: Part) -> dict[str, Any]:
+        observer, watchdog = self.observer, self.watchdog
+        return {
+            "observe": law.observe, "model_delay": problem_of(self.plant).horizon(), "predict": self.predictor.lanes(),
+            "guard": self.predictor.guard, "control": law.control, "update": law.update,
+            "model": engine.advance_kernel(self.plant, RK4) if self._reads_commands else None,
+            "follow": observer and observer.follow, "correct": observer and observer.correct,
+            "watchdog_law": watchdog and watchdog.law(self.plant), **engine.protection(self.safety, self.predictor),
+        }  # fmt: skip
+
+    def _set(self, law: Part) -> signals.Settings:
+        plant, observer, watchdog, gate = self.plant, self.observer, self.watchdog, self.outlier_limit
+        limits, guard = self._loop.input_bounds, self.predictor.settings
+        low, high = box = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T  # zeros for no range
+        parts: dict[str, Any] = {"anew": box.mean(axis=0)}
+        if observer:
+            memory, widens = observer.anew()
+            parts |= {
+                "sensing": observer.settings, "pulls": observer.pulls, "offsets": observer.offset,
+                "filter_count": len(memory), "anew": memory, "widens": widens,
+            }  # fmt: skip
+        if watchdog:
+            parts |= {
+                "watched": True, "after": watchdog.after, "holds": watchdog.holds, "rescue": watchdog.rescue(plant.m),
+                "jump": watchdog.jumps(plant.m),
+            }  # fmt: skip
+        if self.safety:
+            parts |= self.safety.settings(self.dt, limits)
+        return signals.settings(
+            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
+            reads_commands=self._reads_commands, stores_commands=self._reads_commands,
+            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
+            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
+            output_count=len(self.outputs), bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
+            input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float), law=law.settings,
+            guard=np.zeros(0) if guard is None else guard,
+            reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), **parts,
+        )  # fmt: skip
 
     @property
     def D_hat(self) -> float:
@@ -187,7 +228,7 @@ class Controller(InNotebook):
         X."""
         if self._by_law:
             raise ConfigError("u0: expected a constant command, got that of the first X; give numbers")
-        return inputs.before(self.plant, self._u0, self._limits, np.zeros((1, self.plant.n)))[0]
+        return inputs.before(self.plant, self._loop.u0, self._loop.input_bounds, np.zeros((1, self.plant.n)))[0]
 
     @property
     def reach(self) -> float:
@@ -218,10 +259,12 @@ class Controller(InNotebook):
     def status(self) -> Status:
         """What happened in the last step (npred.loop.status)."""
         z, clock, m = self.memory, self._clock, self.plant.m
-        age = (clock["at"] - clock["sample_at"]) * self.dt
+        age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
+        if self._watches:
+            spread = engine.spread(self.plant.n, m, self.settings.law, z.observer)
         offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
         return Status(
-            D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
+            D_hat=self.D_hat, D_hat_spread=spread, age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=self.missed, renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
             fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0,
@@ -283,16 +326,21 @@ class Controller(InNotebook):
             For a measurement that is not finite, or that the prediction leaves the finite numbers from.
         """
         if (u is None) != self._reads_commands or (X is None and not self._reads_commands):
-            expected, came = (
-                ("X alone", "u too") if self._reads_commands else ("X and u", "u alone" if X is None else "X alone")
-            )
-            raise ConfigError(
-                f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
-            )
+            expected, came = "X alone", "u too"
+            if not self._reads_commands:
+                expected, came = "X and u", "u alone" if X is None else "X alone"
+            what = f"expected {expected}, for the actuator is {self.actuator!r}, got {came}"
+            raise ConfigError(f"step: {what}; give what is measured")
         gap = 1.0 if t is None else self._gap(t)
         now = self.t if t is None else t
         age = 0.0 if sampled_at is None else self._age(now, sampled_at)
-        applied = None if applied is None else self._as_applied(applied)
+        if applied is not None and not self.keeps_commands:
+            what = "expected a controller that keeps its commands, got one that is given u"
+            raise ConfigError(f"applied: {what}; omit it")
+        sent = None if applied is None else array_checks.floats("applied", applied)
+        if sent is not None and (sent.shape != (self.plant.m,) or not np.isfinite(sent).all()):
+            what = f"expected {self.plant.m} finite numbers, one per input"
+            raise ConfigError(f"applied: {what}, got {applied!r}; give U")
         came = X is not None
         if came:
             self._measure(array_checks.floats("X", X), u, u_nodes)
@@ -301,18 +349,20 @@ class Controller(InNotebook):
             if not came or not np.isfinite(self._Y).all():
                 raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
             before = self.state()
-            self._fill(self._Y)
-        if applied is not None:
-            self._engine.replace(applied)
+            past = self._past(self._Y)
+            _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
+            self._reset_clock(None)
+        if sent is not None:
+            self._engine.replace(sent)
         code = self._engine.call(now, gap, came, age)
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
             self.restore(before)
-            raise DivergedError(f"step: {self._reason(code)}; hold the last U and measure again")
+            raise DivergedError(self._refusal(code, booked=False))
         if abs(now - self.t) > SNAP * self.dt:
             self._t0, self._step = now, 0
         self._step += 1
         if code:
-            raise DivergedError(f"step: {self._reason(code)}; {self._held()}")
+            raise DivergedError(self._refusal(code, booked=self.keeps_commands))
         self._awaits_X = False
         self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
@@ -364,12 +414,7 @@ class Controller(InNotebook):
     @property
     def loop(self) -> Loop:
         """The description that another controller with these parts and this D_hat is made of."""
-        return Loop(
-            plant=self.plant, predictor=self.predictor, dt=self.dt, adaptation=self.adaptation, D_hat=self.D_hat,
-            input_bounds=self._limits, u0=self._u0, actuator=self.actuator, observer=self.observer,
-            watchdog=self.watchdog, safety=self.safety, outlier_limit=self.outlier_limit,
-            max_sample_age=self.max_sample_age, history_length=self._longest,
-        )  # fmt: skip
+        return replace(self._loop, D_hat=self.D_hat, history_length=self._longest)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -385,62 +430,19 @@ class Controller(InNotebook):
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
 
-    def _check_clocked(self) -> None:
-        """Raise ConfigError for parts that need the commands' history, where it has none, or are of another plant."""
-        parts = {"max_sample_age": self.max_sample_age, "observer": self.observer, "watchdog": self.watchdog}
-        for name, value in parts.items():
-            if value is not None and not self._reads_commands:
-                raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
-        if self.safety is not None and self.safety.delay and not self._reads_commands:
-            raise ConfigError(f'safety: an uncertain delay expected actuator="history", got {self.actuator!r}; give it')
-        if self.observer is not None and not isinstance(self.observer, Observer):
-            raise ConfigError(f"observer: expected one of npred.observers, got {self.observer!r}; make one")
-        if self.watchdog is not None and not isinstance(self.watchdog, Watchdog):
-            raise ConfigError(f"watchdog: expected npred.Watchdog, got {self.watchdog!r}; make one")
-
-    @staticmethod
-    def _suited(plant: Plant, law: DelayLaw, D_hat: float | None) -> DelayLaw:
-        """The law with what it leaves out, for a delay of D_hat, else of the middle of its bounds."""
-        if D_hat is None and law.bounds is None:
-            raise ConfigError(
-                "D_hat: expected a first estimate in seconds, for the law has no bounds, got none; give D_hat"
-            )
-        D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
-        array_checks.delays("D_hat", D)
-        return law.suited(plant, D, D)
-
-    def _spread(self) -> float:
-        if not self._watches:
-            return math.nan
-        return engine.spread(self.plant.n, self.plant.m, self.settings.law, self.memory.observer)
-
-    def _start(self, D_hat: float | None) -> float:
-        if D_hat is not None:
-            return D_hat
-        if self.plant.declares_delay:
-            return 0.0
-        if self.adaptation is None:
-            raise ConfigError(
-                f"D_hat: expected a delay in {self.plant.time_unit}, for nothing adapts it, got none; give D_hat"
-            )
-        return sum(self.adaptation.bounds) / 2
-
-    def _kept(self, D_hat: float, longest: float | None) -> float:
-        """The seconds that commands are kept for."""
+    def _take_memory(self, size: int, D_hat: float) -> None:
+        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to the longest delay."""
+        n, m, nx, longest = self.plant.n, self.plant.m, self.predictor.nx, self._loop.history_length
         needed = max(D_hat, float(self.settings.bounds[1]) if self.adaptation else 0.0)
         if longest is None:
-            reads = self._reads_commands and self.plant.declares_delay
-            return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
-        if not needed <= (seconds := array_checks.number("history_length", longest)) < math.inf:
+            declared = self._reads_commands and self.plant.declares_delay
+            longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
+        elif not needed <= array_checks.number("history_length", longest) < math.inf:
             least = self.plant.time_text(needed)
             raise ConfigError(
                 f"history_length: expected at least the largest delay, {least}, got {longest!r}; raise it"
             )
-        return seconds
-
-    def _take_memory(self, size: int, longest: float) -> None:
-        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
-        n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
+        longest = float(longest)
         self._last_U = np.zeros(m)
         self._last_P = np.full((nx, n), np.nan)
         self._longest = longest
@@ -466,13 +468,8 @@ class Controller(InNotebook):
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
         span = np.array([self._first_D_hat])
-        limits = self.settings.input_bounds if self._by_law else self._limits
-        return inputs.past(self.plant, self._u0, limits, X[None], span)
-
-    def _fill(self, X: np.ndarray) -> None:
-        """Hold kappa(X) before the first step, where that is u0."""
-        _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, self._past(X))
-        self._reset_clock(None)
+        limits = self.settings.input_bounds if self._by_law else self._loop.input_bounds
+        return inputs.past(self.plant, self._loop.u0, limits, X[None], span)
 
     def _reset_clock(self, X_hat: Any, k: int | None = None, calls: int = 0) -> None:
         """Set the clock before the call of control step k, the first by default, where the model expects X_hat."""
@@ -500,7 +497,7 @@ class Controller(InNotebook):
             raise ConfigError(
                 f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; use one clock"
             )
-        return _snapped((now - last) / self.dt)
+        return float(snapped((now - last) / self.dt))
 
     def _age(self, now: float, sampled_at: Any) -> float:
         """The age of a sample in control steps. Raises ConfigError for one of the future, by more than dt."""
@@ -511,7 +508,7 @@ class Controller(InNotebook):
             )
         if not self._reads_commands and age > SNAP:
             raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
-        return max(_snapped(age), 0.0)
+        return max(float(snapped(age)), 0.0)
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
@@ -536,7 +533,7 @@ class Controller(InNotebook):
         z.observer[:, 0], z.filter[:, 0], z.missed[0] = observer, filtered, missed
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
-        if clock is None:  # of a version before this memory
+        if clock is None:  # saved without one, by a block of python-control say
             self._reset_clock(X_hat, k, int(state["step"] > 0))
         else:
             self._clock.restore(clock)
@@ -576,35 +573,17 @@ class Controller(InNotebook):
         if not self._reads_commands:
             self._u[:], self._u_nodes[:] = u, u_nodes
 
-    def _as_applied(self, applied: Any) -> np.ndarray:
-        """The command that the actuator got, (m,). Raises ConfigError for another shape, or where none is kept."""
-        U = array_checks.floats("applied", applied)
-        if not self.keeps_commands:
-            raise ConfigError(
-                "applied: expected a controller that keeps its commands, got one that is given u; omit it"
-            )
-        if U.shape != (self.plant.m,) or not np.isfinite(U).all():
-            raise ConfigError(
-                f"applied: expected {self.plant.m} finite numbers, one per input, got {applied!r}; give U"
-            )
-        return U
-
-    def _held(self) -> str:
-        """What to do after a step that was refused, in words."""
-        advice = "hold the last U and measure again"
-        if self.keeps_commands:
-            advice += f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent"
-        return advice
-
-    def _reason(self, code: int) -> str:
-        """Why a step gives no U to send, in words."""
+    def _refusal(self, code: int, booked: bool) -> str:
+        """Why a step gives no U to send, and what to do, in words."""
         kept, came = self.plant.time_text(self.reach), self.memory.D_seen.max()
-        return {
+        reason = {
             engine.MEASUREMENT: "expected finite X and u, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
             engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
             "raise history_length",
         }[code]
+        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent" if booked else ""
+        return f"step: {reason}; hold the last U and measure again{sent}"
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
@@ -614,27 +593,3 @@ class Controller(InNotebook):
         self.memory.innovation[:] = self.memory.error[:] = np.nan
         for signal in ("fallback", "kept", "filtered", "unkept"):
             getattr(self.memory, signal)[:] = 0.0
-
-
-def sample_age(limit: float | None, dt: float) -> float:
-    """The largest age of a sample, in control steps. Raises ConfigError for a negative one."""
-    age = OLDEST * dt if limit is None else array_checks.number("max_sample_age", limit)
-    if not 0 <= age < math.inf:
-        raise ConfigError(f"max_sample_age: expected how old a sample may be, at least 0, got {limit!r}; give a time")
-    return age / dt * (1 + 1e-12)
-
-
-def _snapped(steps: float) -> float:
-    """A number of control steps, whole where it is nearly."""
-    return float(round(steps)) if abs(steps - round(steps)) <= SNAP else steps
-
-
-def _half_widths(plant: Plant) -> np.ndarray:
-    """Half the width of each state's box, (n,); infinity where it has none, or one of a point."""
-    low, high = _box(plant)
-    return np.where(high > low, (high - low) / 2, np.inf)
-
-
-def _box(plant: Plant) -> np.ndarray:
-    """The ends of each state's box, (2, n); zeros where it has none."""
-    return np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T

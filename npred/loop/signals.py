@@ -214,6 +214,11 @@ def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, arrays:
     return {s.name: arrays.get(s.name, new.get(s.name)) for s in rows}
 
 
+def joined(records: Iterable[Record]) -> Record:
+    """The lanes of several records, one after the other."""
+    return Record(*(np.concatenate(arrays, axis=-1) for arrays in zip(*records, strict=True)))
+
+
 def structure(values: Any) -> Any:
     """The C struct of a State, Record, Settings or Events, whose arrays have to outlive it."""
     passed = {name: address(v) if isinstance(v, np.ndarray) else v for name, v in values._asdict().items()}

@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.loop.actuator import ROUNDING, SNAP
+from npred.loop.actuator import ROUNDING, snapped
 from npred.loop.measurement import Measurement
 
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
@@ -100,11 +100,11 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     arrives[0] = 0.0
     called = np.flatnonzero(~skipped)
     gap, sample, age = np.ones(count), np.full(count, -1), np.zeros(count)
-    gap[called[1:]] = _snapped(np.diff(at[called]))
+    gap[called[1:]] = snapped(np.diff(at[called]))
     newest = np.searchsorted(arrives, at[called] + ROUNDING, side="right") - 1
     new = np.diff(newest, prepend=-1) > 0
     sample[called[new]] = newest[new]
-    age[called[new]] = np.maximum(_snapped(at[called[new]] - taken[newest[new]]), 0.0)
+    age[called[new]] = np.maximum(snapped(at[called[new]] - taken[newest[new]]), 0.0)
     return Schedule(at, gap, skipped, lost, sample, age, taken, number)
 
 
@@ -116,11 +116,6 @@ def _regular(measurement: Measurement, dt: float, end: float, loop: int) -> np.n
     gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
     taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
     return taken[taken <= end + ROUNDING]
-
-
-def _snapped(steps: np.ndarray) -> np.ndarray:
-    """Numbers of control steps, whole where they are nearly, as a controller takes them."""
-    return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
 
 
 def uniform(seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:

@@ -13,22 +13,8 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, Predictor
 
-# arrays led by the batch's axes
-SERIES = (
-    "X",
-    "U",
-    "D_hat",
-    "N",
-    "energy",
-    "escaped",
-    "P",
-    "infeasible",
-    "fallback",
-    "fallbacks",
-    "filtered",
-    "changes",
-    "unkept",
-)  # a record's too
+# a record's arrays, led by the batch's axes
+SERIES = tuple("X U D_hat N energy escaped P infeasible fallback fallbacks filtered changes unkept".split())
 LOOPS = (*SERIES, "margin", "breach")
 
 

@@ -215,7 +215,7 @@ def test_times_that_cannot_be_are_refused_in_one_line():
         measured.step([0.5, 0.0], np.zeros((41, 1)), t=1.0)
     with pytest.raises(ConfigError, match=r"observer: expected one of npred\.observers, got 'ekf'"):
         motor(observer="ekf")
-    for name, value in {"oldest": 0.1, "watchdog": npred.Watchdog(0.1)}.items():
+    for name, value in {"max_sample_age": 0.1, "watchdog": npred.Watchdog(0.1)}.items():
         with pytest.raises(ConfigError, match=f'{name}: expected actuator="history"'):
             npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2, **{name: value})
 

@@ -263,7 +263,6 @@ def test_refusals_are_one_line_each():
     heun = npred.predictor("heun", PLANT, NX)
     for refused, call in {
         "tolerance: expected a number above 0": lambda: npred.guarded(heun, 0.0),
-        "by: expected auto or shadow": lambda: npred.guarded(heun, by="both"),
         "guarded: expected a Predictor": lambda: npred.guarded("deeponet"),
         "guarded: expected a model on 5 nodes or more, got 4": lambda: npred.guarded(npred.predictor("heun", PLANT, 4)),
         "u: expected 51 nodes": lambda: npred.guarded(heun)([0.03, 30.0], np.zeros((21, 1)), 1.0),

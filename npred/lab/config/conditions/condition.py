@@ -15,7 +15,7 @@ from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer as StateObserver
 from npred.lab.config import FROZEN, Disturbance
 from npred.lab.config import Loop as LoopTable
-from npred.loop import closed_loop
+from npred.loop import closed_loop, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop
 from npred.loop.measurement import Measurement, Observer
@@ -73,7 +73,7 @@ class Condition:
 def compiled(plant: Plant, predictor: Predictor, table: LoopTable) -> bool:
     """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
     law = delay_law.part(plant, adaptation(table, plant), table.dt)
-    return closed_loop.compiled(plant, predictor, law)
+    return simulation.compiled(plant, predictor, law)
 
 
 def adaptation(loop: LoopTable, plant: Plant) -> DelayLaw | None:

@@ -47,7 +47,7 @@ def run(job: Job) -> Certified:
         bare = {contender: pool.submit(_loops, job, guard.model) for contender, guard in guards.items()}
         guarded = {contender: pool.submit(_loops, job, guard) for contender, guard in guards.items()}
         rows = {
-            contender: {"tolerance": guard.tolerance, "by": guard.by}
+            contender: {"tolerance": guard.tolerance}
             | _rollouts(table, by_rollout[contender])
             | _behaviour(job.plant, loops, bare[contender].result(), guarded[contender].result())
             for contender, guard in guards.items()
