@@ -16,7 +16,7 @@ from npred.prediction.delays import problem_of
 from npred.prediction.delays.family import Kernel
 
 STARTS, SPAN, SETTLING = 16, 20.0, 5.0  # starts of the box, and how long they are followed: delays, time constants
-CELLS = (200, 800)  # of that time; more where fewer leave the finite numbers
+CELLS = (200, 800)  # parts of that time; more where fewer leave the finite numbers
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """One export: a controller, or its network alone, as files for another program, on the command line and from Python.
 
-A new format is a file in npred/networks with a function (of, path, *, its options) -> Exported, and its entry in
+A new format is a file in npred/exports with a function (of, path, *, its options) -> Exported, and its entry in
 FORMATS. From there come the command `npred export FORMAT` with its flags, and the keywords that `export` takes.
 """
 
@@ -95,7 +95,7 @@ class WholeController:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What a JSON document says about the controller."""
+        """The facts of the controller in a JSON document."""
         controller, predictor = self.controller, self.controller.predictor
         return {
             "plant": controller.plant.name,
@@ -118,11 +118,11 @@ class TrainedNetwork:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What a JSON document says about the network."""
+        """The facts of the network in a JSON document."""
         return {"model": self.name, "nx": self.nx}
 
     def exported(self, path: Path, errors: tuple[float, float] | None) -> Exported:
-        """What is said of a file whose P and U differ so much from the network's, and its P from the predictor; None
+        """The words about a file whose P and U differ so much from the network's, and its P from the predictor; None
         where the file could not be run.
         """
         line, count = f"P and U of {self.name} on {self.nx} nodes", len(self.samples[0])

@@ -21,7 +21,7 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what it amplifies rounding errors by
+LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
@@ -69,10 +69,13 @@ def sources(
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
     sizes = _sizes(controller, kernels, variants)
+    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
+    texts = [text for kernel in kernels.values() for text in kernel.texts]
+    text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
-        "kernels": _kernels(kernels, precision),
+        "kernels": single(text) if precision == "float" else text,
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
         "test": _test(controller, precision),
     }
@@ -118,17 +121,9 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
-    states = controller.plant.n + 3 * controller.plant.m  # of a model that goes on from a sample
+    states = controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 2 * settings.output_count
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
-
-
-def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:
-    """The kernels and the step, as the loop runs them here, with one lane."""
-    texts = [text for kernel in kernels.values() for text in kernel.texts]
-    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
-    text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))
-    return single(text) if real == "float" else text
 
 
 def _settings(
@@ -159,7 +154,7 @@ def _settings(
 
 
 def _about(controller: Controller, real: str, model: str) -> list[str]:
-    """What the controller is made of, for the head of the file."""
+    """The parts of the controller, for the head of the file."""
     plant = controller.plant
     law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
     units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
@@ -184,7 +179,7 @@ def _test(controller: Controller, real: str) -> str:
     vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
     stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
-    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # of a network
+    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"

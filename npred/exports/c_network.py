@@ -24,7 +24,7 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 
 TESTED = 4  # samples of the test vector
-LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
+LIMIT = 1e-4  # times a state's or an input's size: the difference from the model that single precision makes
 
 
 def export(of: TrainedNetwork, path: Path) -> Exported:

@@ -10,8 +10,8 @@ import numpy as np
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.inputs import Past
 
-ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
-SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
+ROUNDING = 1e-9  # in control steps: positions this close to a step's start are on it
+SNAP = 1e-6  # in control steps: times this close to a regular clock's are on it
 
 
 def snapped(steps: np.ndarray | float) -> np.ndarray:

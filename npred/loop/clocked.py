@@ -22,7 +22,7 @@ from npred.loop.loop import Loop
 from npred.loop.signals import Events, Record
 from npred.loop.simulation import Simulation
 from npred.loop.timing import Timing, schedule
-from npred.loop.trajectories import OnAClock
+from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 from npred.plants.base import Plant
 
@@ -58,8 +58,7 @@ def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[
     first = one(0)  # which compiles
     with devices.one_thread(), ThreadPoolExecutor(os.cpu_count() if simulation.compiled else 1) as pool:
         results = [first, *pool.map(one, range(1, len(simulation.loop.D)))]
-    names = OnAClock.__dataclass_fields__
-    clock = OnAClock(**{name: np.stack([getattr(e, name) for _, e in results]) for name in names})
+    clock = each(lambda *arrays: np.stack(arrays), *(clock for _, clock in results))
     return signals.joined(record for record, _ in results), clock
 
 

@@ -25,7 +25,7 @@ from npred.prediction.methods import RK4, Predictor
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
-SIGMAS = 6.0  # of an output that an observer of the state estimates: `outlier_limit` times as many are not believed
+SIGMAS = 6.0  # standard deviations of an estimated output, times `outlier_limit`: beyond them it is not believed
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
@@ -135,7 +135,7 @@ class Controller(InNotebook):
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(kernels.memory, D_hat)
         self._set_state(D_hat, None, 0, 0.0)
-        self._reset_clock(None)
+        self._reset_clock()
         self._warm_up()
         self._awaits_X = self._by_law  # for the commands before the first step
 
@@ -241,11 +241,6 @@ class Controller(InNotebook):
         return (len(self.memory.held) - 3 - self._oldest) * self.dt
 
     @property
-    def missed(self) -> int:
-        """How many of the last samples, in a row, were not believed; X_hat took their place."""
-        return int(self.memory.missed[0])
-
-    @property
     def outputs(self) -> tuple[str, ...]:
         """The names of what a sample has: the states, or the outputs of its observer."""
         return tuple(self.observer.outputs) if self.observer else self.plant.states
@@ -257,7 +252,7 @@ class Controller(InNotebook):
 
     @property
     def status(self) -> Status:
-        """What happened in the last step (npred.loop.status)."""
+        """The events of the last step (npred.loop.status)."""
         z, clock, m = self.memory, self._clock, self.plant.m
         age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
         if self._watches:
@@ -266,8 +261,8 @@ class Controller(InNotebook):
         return Status(
             D_hat=self.D_hat, D_hat_spread=spread, age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
-            missed=self.missed, renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
-            fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0,
+            missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
+            fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
             kept=float(z.kept[0]) if self.safety else math.nan, unkept=z.unkept[0] > 0,
         )  # fmt: skip
 
@@ -275,16 +270,6 @@ class Controller(InNotebook):
     def P(self) -> np.ndarray:
         """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
         return self._last_P.copy()
-
-    @property
-    def fallback(self) -> bool:
-        """Whether the numerical predictor answered in the last step, for a guarded predictor that doubted."""
-        return bool(self.memory.fallback[0])
-
-    @property
-    def error(self) -> float:
-        """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
-        return float(self.memory.error[0])
 
     def step(
         self, X: Any = None, u: Any = None, u_nodes: Any = None, *, t: float | None = None,
@@ -331,9 +316,7 @@ class Controller(InNotebook):
                 expected, came = "X and u", "u alone" if X is None else "X alone"
             what = f"expected {expected}, for the actuator is {self.actuator!r}, got {came}"
             raise ConfigError(f"step: {what}; give what is measured")
-        gap = 1.0 if t is None else self._gap(t)
-        now = self.t if t is None else t
-        age = 0.0 if sampled_at is None else self._age(now, sampled_at)
+        now, gap, age = self._times(t, sampled_at)
         if applied is not None and not self.keeps_commands:
             what = "expected a controller that keeps its commands, got one that is given u"
             raise ConfigError(f"applied: {what}; omit it")
@@ -351,7 +334,7 @@ class Controller(InNotebook):
             before = self.state()
             past = self._past(self._Y)
             _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
-            self._reset_clock(None)
+            self._reset_clock()
         if sent is not None:
             self._engine.replace(sent)
         code = self._engine.call(now, gap, came, age)
@@ -376,18 +359,13 @@ class Controller(InNotebook):
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self._clock.state()}
         if self._reads_commands:
-            X_hat = self._clock.now.tolist() if np.isfinite(self._clock.now).all() else None
-            remembered |= {"X_hat": X_hat, "missed": self.missed}
+            remembered["missed"] = int(z.missed[0])
         if self.observer:
             remembered["filter"] = z.filter[:, 0].tolist()
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
-        return {
-            "D_hat": self.D_hat,
-            "phi": None if math.isnan(phi) else phi,
-            "step": self._step,
-            "t0": self._t0,
-        } | remembered
+        rate = None if math.isnan(phi) else phi
+        return {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0} | remembered
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
@@ -460,7 +438,7 @@ class Controller(InNotebook):
 
     def _set_memory(self, memory: signals.State) -> None:
         self.memory = z = memory
-        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # of the only lane
+        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # the only lane
         self._u, self._u_nodes = z.u[:, :, 0], z.u_nodes[:, :, 0]
         self._P, self._U = z.P[:, :, 0], z.U[:, 0]
         self._engine = Engine(self.parts, self.settings, memory)
@@ -471,10 +449,10 @@ class Controller(InNotebook):
         limits = self.settings.input_bounds if self._by_law else self._loop.input_bounds
         return inputs.past(self.plant, self._loop.u0, limits, X[None], span)
 
-    def _reset_clock(self, X_hat: Any, k: int | None = None, calls: int = 0) -> None:
-        """Set the clock before the call of control step k, the first by default, where the model expects X_hat."""
+    def _reset_clock(self, k: int | None = None, calls: int = 0) -> None:
+        """Set the clock before the call of control step k, the first by default."""
         k = len(self.memory.held) - 1 if k is None else k
-        X_hat = self.memory.filter[: self.plant.n, 0] if X_hat is None and self.observer else X_hat
+        X_hat = self.memory.filter[: self.plant.n, 0] if self.observer else None
         last = self.memory.held[(k - 1) % len(self.memory.held), :, 0]
         self._clock.start(k, last, self.plant.ratios * self.D_hat, X_hat, calls)
 
@@ -483,45 +461,43 @@ class Controller(InNotebook):
         """The control step of the next call, in the history."""
         return int(self._clock["at"] + ROUNDING) + 1
 
-    def _gap(self, t: Any) -> float:
-        """The control steps from the last call to one at t. Raises ConfigError for a time that is not after it."""
-        now = array_checks.number("t", t)
-        if not self._reads_commands:
-            raise ConfigError(f't: expected actuator="history", got {self.actuator!r}, whose calls are each dt; omit t')
-        if abs(now - self.t) <= SNAP * self.dt:
-            return 1.0
-        if not self._clock["calls"] and math.isfinite(now):  # the clock starts here
-            return 1.0
-        last = self.t - self.dt
-        if not last < now < math.inf:
-            raise ConfigError(
-                f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; use one clock"
-            )
-        return float(snapped((now - last) / self.dt))
+    def _times(self, t: Any, sampled_at: Any) -> tuple[float, float, float]:
+        """The time of a call, the control steps since the last one, and the age of its sample in control steps.
 
-    def _age(self, now: float, sampled_at: Any) -> float:
-        """The age of a sample in control steps. Raises ConfigError for one of the future, by more than dt."""
-        age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
-        if not -1.0 <= age < math.inf:
-            raise ConfigError(
-                f"sampled_at: expected a time up to that of the call, {now:.9g}, got {sampled_at!r}; use one clock"
-            )
-        if not self._reads_commands and age > SNAP:
-            raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
-        return max(float(snapped(age)), 0.0)
+        Raises ConfigError for a call that is not after the last one, and a sample later than it by more than dt.
+        """
+        now, gap, age = self.t, 1.0, 0.0
+        if t is not None:
+            now, last = array_checks.number("t", t), self.t - self.dt
+            if not self._reads_commands:
+                came = f"got {self.actuator!r}, whose calls are each dt"
+                raise ConfigError(f't: expected actuator="history", {came}; omit t')
+            starts = not self._clock["calls"] and math.isfinite(now)
+            if abs(now - self.t) > SNAP * self.dt and not starts:
+                if not last < now < math.inf:
+                    what = f"expected a time after that of the last call, {last:.9g}, got {now:.9g}"
+                    raise ConfigError(f"t: {what}; use one clock")
+                gap = float(snapped((now - last) / self.dt))
+        if sampled_at is not None:
+            age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
+            if not -1.0 <= age < math.inf:
+                what = f"expected a time up to that of the call, {now:.9g}, got {sampled_at!r}"
+                raise ConfigError(f"sampled_at: {what}; use one clock")
+            if not self._reads_commands and age > SNAP:
+                raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
+            age = max(float(snapped(age)), 0.0)
+        return now, gap, age
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
         z = self.memory
         commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
-        X_hat, missed, clock = state.get("X_hat"), state.get("missed", 0), state.get("clock")
+        missed, clock = state.get("missed", 0), state.get("clock")
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
-            fits = fits and len(held) <= k + 1 <= 2 * len(held)
-            X_hat = None if X_hat is None else np.array(X_hat, dtype=float)
-            fits = fits and (X_hat is None or X_hat.shape == (self.plant.n,)) and operator.index(missed) >= 0
+            fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
             fits = fits and filtered.shape == z.filter[:, 0].shape and np.isfinite(filtered).all()
             if clock is not None:
@@ -534,7 +510,7 @@ class Controller(InNotebook):
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
         if clock is None:  # saved without one, by a block of python-control say
-            self._reset_clock(X_hat, k, int(state["step"] > 0))
+            self._reset_clock(k, int(state["step"] > 0))
         else:
             self._clock.restore(clock)
         if self._watches and math.isnan(observer[-1]):  # observers of the delay start at a sample that is believed

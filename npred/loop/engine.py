@@ -50,8 +50,7 @@ def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
 
 @cache
 def _text(files: tuple[str, ...]) -> str:
-    events = [signals.declared_events()] if files is ON_A_CLOCK else []
-    return "\n".join([skeleton("base.h"), *signals.declared(), *events, *map(skeleton, files)])
+    return "\n".join([skeleton("base.h"), *signals.declared(files is ON_A_CLOCK), *map(skeleton, files)])
 
 
 def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tuple[str, ...] = LOOP) -> None:

@@ -69,7 +69,7 @@ def reality(loop: Loop) -> None:
 
 
 def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
-    """What a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
+    """The values that a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
 
     Raises ConfigError for another shape or a number that is not finite.
     """

@@ -1,4 +1,4 @@
-"""What the controller sees of the plant: noise, a sampling period with jitter, a delay, dropped samples.
+"""The controller's view of the plant: noise, a sampling period with jitter, a delay, dropped samples.
 
 Between samples the state is predicted from the last one by the controller's own model, with the commands that have
 reached the plant since, as the controller believes. Random numbers are a function of the seed, the loop, the step and
@@ -36,7 +36,7 @@ class Sensors:
 
     noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
     absolute: PerState = field(default=0.0, kw_only=True)  #: the same, in units of the state
-    bias: PerState = field(default=0.0, kw_only=True)  #: of each sample, in units of the state
+    bias: PerState = field(default=0.0, kw_only=True)  #: offset of each sample, in units of the state
     resolution: PerState = field(default=0.0, kw_only=True)  #: step of the sensor, in units of the state; 0 for none
     period: float | None = None  #: between samples, in the plant's unit of time; by default the control step
     jitter: float = 0.0  #: largest deviation of a period, relative to it

@@ -39,7 +39,7 @@ class Simulation:
     count: int  # control steps, that at t = 0 included
     every: int
     integrator: type[OneStep]
-    shape: tuple[int, ...]  # of the batch
+    shape: tuple[int, ...]  # the axes of the batch
     blind: bool  # whether the controller of a plant that declares its delay is as if there was none
     past: inputs.Past  # the inputs of t < 0
     samples: np.ndarray  # (B, S), the steps that are kept too

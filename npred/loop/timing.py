@@ -61,7 +61,7 @@ class Timing(ControlClock):
 
 
 class Schedule(NamedTuple):
-    """What happens to a loop of K control steps, in control steps: of each one the call at `at` (K,), `gap` after the
+    """The events of a loop of K control steps, in control steps: of each one the call at `at` (K,), `gap` after the
     one before; `skipped`, `lost` (K,); `sample` (K,) is the row of the sample that it gets, -1 without a new one, of
     the age `age` (K,). Of each sample (S,) when it is `taken`, and its `number`.
     """
@@ -89,7 +89,13 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     skipped = uniform(timing.seed, loop, steps, OVERRUN) < timing.overrun
     skipped[0] = False
     lost = uniform(timing.seed, loop, steps, LOST) < timing.lost
-    taken = at[~skipped] if measurement.period is None else _regular(measurement, dt, at[-1], loop)
+    taken = at[~skipped]
+    if measurement.period is not None:  # by the sensors' clock
+        period = measurement.period / dt
+        numbers = np.arange(math.ceil(at[-1] / (period * (1 - measurement.jitter))) + 2)
+        gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
+        taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
+        taken = taken[taken <= at[-1] + ROUNDING]
     number = np.arange(len(taken))
     kept = uniform(measurement.seed, loop, number, DROP) >= measurement.drop
     if timing.stop_every is not None:
@@ -106,16 +112,6 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     sample[called[new]] = newest[new]
     age[called[new]] = np.maximum(snapped(at[called[new]] - taken[newest[new]]), 0.0)
     return Schedule(at, gap, skipped, lost, sample, age, taken, number)
-
-
-def _regular(measurement: Measurement, dt: float, end: float, loop: int) -> np.ndarray:
-    """When samples are taken, up to `end`, by the sensors' clock."""
-    assert measurement.period is not None
-    period = measurement.period / dt
-    numbers = np.arange(math.ceil(end / (period * (1 - measurement.jitter))) + 2)
-    gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
-    taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
-    return taken[taken <= end + ROUNDING]
 
 
 def uniform(seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:

@@ -132,8 +132,8 @@ def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
     for k in range(3):
         U = controller.step(run.samples.X[k], run.samples.u[k])
         np.testing.assert_allclose(U, run.U[k], atol=1e-3)
-        assert controller.fallback == run.fallback[k]
-        assert (controller.error > 0.0025) == controller.fallback
+        assert controller.status.fallback == run.fallback[k]
+        assert (controller.status.error > 0.0025) == controller.status.fallback
 
 
 def test_plants_of_every_family_are_guarded(tmp_path):
