@@ -72,8 +72,8 @@ def simulate(
         True shows a bar, in a terminal or a notebook; a function gets the number of loop steps done; by default a
         line on stderr says so if loops take longer than a second.
     **parts
-        The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety, integrator, timing, observer, watchdog,
-        outlier_limit, max_sample_age.
+        The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety,
+        integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
 
     Returns
     -------

@@ -49,7 +49,8 @@ def controller(
     D_hat : float, in the plant's unit of time, optional
         First estimate of the delay; by default the middle of the law's bounds.
     **parts
-        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog, safety, outlier_limit, max_sample_age, history_length.
+        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog,
+        safety, outlier_limit, max_sample_age, history_length.
 
     Returns
     -------

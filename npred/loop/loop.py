@@ -26,7 +26,7 @@ class Loop:
     """X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14]: all parts of it.
 
     The parts down to `history_length` are the controller's; those that follow are of the simulated plant, its sensors
-    and its clock. Times are in the plant's unit. What does not fit is refused where a loop runs or a controller is made.
+    and its clock. Times are in the plant's unit.
     """
 
     plant: Plant  #: the controller's model, from npred.plant
@@ -35,9 +35,7 @@ class Loop:
     adaptation: DelayLaw | None = None  #: law of the estimate D_hat; None freezes it
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
-    u0: Any = (
-        None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa of X0), rows (k, m), a function of t
-    )
+    u0: Any = None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa(X0)), rows (k, m) or a function
     actuator: str = MEASURED  #: "measured": u is; "history": u is read at D_hat from the controller's commands
     observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
     watchdog: Watchdog | None = None  #: says what U is where no sample comes
