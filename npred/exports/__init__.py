@@ -156,9 +156,8 @@ def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Expor
             path.parent.mkdir(parents=True, exist_ok=True)
             return function(of, path, **values)
         except OSError as error:
-            raise ConfigError(
-                f"path: expected a place to write, got '{path}': {error.strerror}; name another"
-            ) from None
+            came = f"got '{path}': {error.strerror}"
+            raise ConfigError(f"path: expected a place to write, {came}; name another") from None
 
     return write
 
@@ -208,9 +207,8 @@ def export(controller: "Controller", form: str, path: str | Path, **options: Any
         predictor = bare(controller.predictor)
         operator: Any = getattr(predictor, "operator", None)
         if operator is None or operator.domain is None:
-            raise ConfigError(
-                f"export {form}: expected a controller with a trained network, got {predictor!r}; npred.load one"
-            )
+            what = f"expected a controller with a trained network, got {predictor!r}"
+            raise ConfigError(f"export {form}: {what}; npred.load one")
         domain = operator.domain  # which has some rows of the data
         samples = domain.X, grid.means(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
         of = TrainedNetwork(operator, controller.plant, predictor.nx, samples, predictor.name)

@@ -45,10 +45,8 @@ def sources(
         raise ConfigError(unlisted("precision", precision, PRECISIONS))
     problem_of(controller.plant).needs(WHAT)
     if not controller.predictor.compiled:
-        raise ConfigError(
-            f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
-            'load the network with runtime = "fused"'
-        )
+        what = f"expected a predictor that is compiled, got {controller.predictor.name}"
+        raise ConfigError(f'{WHAT}: {what}; take a numerical one, or load the network with runtime = "fused"')
     if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
         law = type(controller.adaptation).__name__
         raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")

@@ -6,8 +6,8 @@ the inputs as they stand, and the outputs are those of the last one.
 """
 
 import hashlib
+import io
 import json
-import os
 import platform
 import sys
 import tempfile
@@ -126,7 +126,7 @@ def export(
         _each(file_set, "SourceFile", {file: {} for file in sources})
         _each(configuration, "Library", {"m": {}})
         files["sources/buildDescription.xml"] = _text(root)
-    _archive(path, files)
+    path.write_bytes(_archive(files))
     without = NO_PLACE if c_files.compiler() else NO_LIBRARY
     holds = f"{', '.join(places)} and sources" if places else without
     facts = {"libraries": list(places), "token": token, "variables": [variable.name for variable in listed]}
@@ -166,21 +166,15 @@ def _compiled(texts: Mapping[str, str], sources: Sequence[str], target: str) -> 
         return library.read_bytes()
 
 
-def _archive(path: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write the zip archive, its entries in this order, without the time: the same files give the same bytes."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as target, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, content in files.items():
-                entry = zipfile.ZipInfo(name)  # its date is 1980, where zip begins
-                entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
-                archive.writestr(entry, content)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    if sys.platform != "win32":
-        path.chmod(0o644)
+def _archive(files: Mapping[str, str | bytes]) -> bytes:
+    """The zip archive, its entries in this order, without the time: the same files give the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name)  # its date is 1980, where zip begins
+            entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
+            archive.writestr(entry, content)
+    return buffer.getvalue()
 
 
 def _description(
@@ -264,9 +258,8 @@ def variables(controller: Controller, X0: ArrayLike, arrays: bool) -> list[Varia
     listed = [*_inputs(controller, X0, arrays), *_outputs(controller), *_parameters(controller)]
     names = [variable.name for variable in listed]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(
-            f"export fmu: expected different names of variables, got {doubled[0]!r} twice; rename that state or input"
-        )
+        what = f"expected different names of variables, got {doubled[0]!r} twice"
+        raise ConfigError(f"export fmu: {what}; rename that state or input")
     return listed
 
 

@@ -60,9 +60,8 @@ class Guarded(Predictor):
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
         if self.nx < FEWEST:
-            raise ConfigError(
-                f"guarded: expected a model on {FEWEST} nodes or more, got {self.nx}; load it with another nx"
-            )
+            what = f"expected a model on {FEWEST} nodes or more, got {self.nx}"
+            raise ConfigError(f"guarded: {what}; load it with another nx")
         self.model, self.tolerance, self._exact = model, float(tolerance), exact
         self.name = f"guarded {model.name}"  # type: ignore[misc]
 

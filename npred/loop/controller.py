@@ -102,9 +102,8 @@ class Controller(InNotebook):
             raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
         gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
         if gate is not None and not 0 < gate < math.inf:
-            raise ConfigError(
-                f"outlier_limit: expected a number above 0, or None for no limit, got {gate!r}; 1 is the default"
-            )
+            what = "expected a number above 0, or None for no limit"
+            raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
         if loop.safety is not None:
             loop.safety.check(plant, dt)
         if not loop.reads_commands:
@@ -417,10 +416,8 @@ class Controller(InNotebook):
             declared = self._reads_commands and self.plant.declares_delay
             longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
         elif not needed <= array_checks.number("history_length", longest) < math.inf:
-            least = self.plant.time_text(needed)
-            raise ConfigError(
-                f"history_length: expected at least the largest delay, {least}, got {longest!r}; raise it"
-            )
+            what = f"expected at least the largest delay, {self.plant.time_text(needed)}"
+            raise ConfigError(f"history_length: {what}, got {longest!r}; raise it")
         longest = float(longest)
         self._last_U = np.zeros(m)
         self._last_P = np.full((nx, n), np.nan)
@@ -524,10 +521,8 @@ class Controller(InNotebook):
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._reads_commands and seconds > self.longest_D_hat:
-            raise ConfigError(
-                f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
-                f"{seconds:g}; make another controller with that D_hat"
-            )
+            what = f"expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept"
+            raise ConfigError(f"D_hat: {what}, got {seconds:g}; make another controller with that D_hat")
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
             raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")

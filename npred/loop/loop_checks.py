@@ -34,17 +34,14 @@ def start(plant: Plant, X0: np.ndarray) -> None:
     """Raise ConfigError for a start that makes no state of the plant."""
     if X0.ndim < 1 or X0.shape[-1] != plant.n:
         axes = ", ".join(plant.states) if plant.n < 5 else "its states"
-        raise ConfigError(
-            f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
-        )
+        what = f"expected shape (..., {plant.n}) for plant {plant.name}"
+        raise ConfigError(f"X0: {what}, got {X0.shape}; the last axis is {axes}")
     array_checks.finite("X0", X0)
     for k, name in enumerate(plant.states):
         low, high = plant.state_bounds.get(name, (-np.inf, np.inf))
         if (X0[..., k] < low).any() or (X0[..., k] > high).any():
-            raise ConfigError(
-                f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], got "
-                f"{X0[..., k].min():g} to {X0[..., k].max():g}; start inside"
-            )
+            came = f"got {X0[..., k].min():g} to {X0[..., k].max():g}"
+            raise ConfigError(f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], {came}; start inside")
 
 
 def reality(loop: Loop) -> None:
@@ -61,9 +58,8 @@ def reality(loop: Loop) -> None:
     if loop.disturbance is not None and not callable(loop.disturbance):
         raise ConfigError(f"disturbance: expected a function of t, got {loop.disturbance!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
-        raise ConfigError(
-            f"truth: expected a plant with {plant.n} states and {plant.m} inputs, got {truth!r}; give one"
-        )
+        what = f"expected a plant with {plant.n} states and {plant.m} inputs"
+        raise ConfigError(f"truth: {what}, got {truth!r}; give one")
     if truth is not None and truth.declares_delay != plant.declares_delay:
         raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
 
@@ -76,9 +72,8 @@ def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
     array = array_checks.floats("disturbance(t)", value)
     if not array_checks.fits(array.shape, (*shape, m)) or not np.isfinite(array).all():
         each = f", or an array {(*shape, m)}" if shape else ""
-        raise ConfigError(
-            f"disturbance(t): expected {m} finite numbers, one per input{each}, got {value!r}; return a list"
-        )
+        what = f"expected {m} finite numbers, one per input{each}"
+        raise ConfigError(f"disturbance(t): {what}, got {value!r}; return a list")
     return np.broadcast_to(array, (*(shape if array.ndim > 1 else ()), m)).reshape(-1, m)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.loop.actuator import ROUNDING, snapped
-from npred.loop.measurement import Measurement
+from npred.loop.measurement import Measurement, share, whole
 
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
 GAP, DROP, CALL, OVERRUN, LOST = 2, 3, 5, 6, 7
@@ -34,18 +34,13 @@ class ControlClock:
     stop_every: float | None = None  #: … of each period of this length, both in the plant's unit of time
 
     def __post_init__(self) -> None:
-        for name, highest in (("jitter", 0.5), ("lost", 1.0), ("overrun", 1.0)):
-            value = array_checks.number(f"timing: {name}", getattr(self, name))
-            if not 0 <= value < highest:
-                raise ConfigError(
-                    f"timing: expected {name} from 0 up to {highest:g}, not included, got {value:g}; give another"
-                )
+        share("timing", "jitter", self.jitter, 0.5)
+        share("timing", "lost", self.lost)
+        share("timing", "overrun", self.overrun)
         every = math.inf if self.stop_every is None else array_checks.number("timing: stop_every", self.stop_every)
         if not 0 <= (stop := array_checks.number("timing: stop", self.stop)) < every or bool(stop) == math.isinf(every):
-            raise ConfigError(
-                f"timing: expected 0 < stop < stop_every, or neither, got {self.stop!r} and {self.stop_every!r}; "
-                "give two times"
-            )
+            came = f"got {self.stop!r} and {self.stop_every!r}"
+            raise ConfigError(f"timing: expected 0 < stop < stop_every, or neither, {came}; give two times")
 
 
 @dataclass(frozen=True)
@@ -56,8 +51,7 @@ class Timing(ControlClock):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.seed, int | np.integer) or not -(2**63) <= self.seed < 2**63:
-            raise ConfigError(f"timing: expected a whole number of 64 bits as seed, got {self.seed!r}; give one")
+        whole("timing", "seed", self.seed)
 
 
 class Schedule(NamedTuple):

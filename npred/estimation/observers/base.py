@@ -76,10 +76,9 @@ class Observer(ABC):
             where = "at the equilibrium" if plant.rests else "in the box"
             what = "states and offsets" if self.offset else "states"
             cure = "measure more, or leave the offset out" if self.offset else "measure more"
-            raise ConfigError(
-                f"{self.label}: expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}, "
-                f"got an observability matrix of rank {rank} of {self.size}; {cure}"
-            )
+            what = f"expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}"
+            came = f"got an observability matrix of rank {rank} of {self.size}"
+            raise ConfigError(f"{self.label}: {what}, {came}; {cure}")
 
     @property
     def label(self) -> str:

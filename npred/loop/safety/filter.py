@@ -55,15 +55,11 @@ class SafetyFilter:
     def check(self, plant: Plant, dt: float) -> None:
         """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
         if not plant.declares_safe:
-            raise ConfigError(
-                f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
-                f"plant {plant.name} has none; write it"
-            )
+            what = "expected a plant with safe(x, t, p, M), which is at least 0 where it is safe"
+            raise ConfigError(f"safety: {what}, plant {plant.name} has none; write it")
         if not plant.traced or not plant.one_delay or plant.declares_delay:
-            raise ConfigError(
-                f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
-                "keep its limits in kappa"
-            )
+            what = f"expected a traced plant with one constant delay, plant {plant.name} is of another kind"
+            raise ConfigError(f"safety: {what}; keep its limits in kappa")
         if self.alpha * dt > 1:
             raise ConfigError(f"safety: expected alpha up to 1 / dt, {1 / dt:g}, got {self.alpha:g}; lower it")
         kernel(plant, self.ends)
@@ -117,10 +113,8 @@ def _barrier(
         psi = rate + alpha * psi
     slopes = [programs.derivative([psi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
     if programs.depends(slopes, [*u]):
-        raise ConfigError(
-            f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
-            f"{k} is not; let another state be the input, by its rate"
-        )
+        what = f"expected limits whose derivative is linear in the input, that of number {k} is not"
+        raise ConfigError(f"{plant.location('safe')} {what}; let another state be the input, by its rate")
     return psi
 
 
@@ -149,6 +143,5 @@ def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
             return degree, decide
         symbols = zip(plant.parameters, trace.parameters, strict=True)
         decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
-    raise ConfigError(
-        f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
-    )
+    what = f"expected limits that the input moves, it does not move number {k}"
+    raise ConfigError(f"{plant.location('safe')} {what}; drop that one")
