@@ -107,7 +107,7 @@ class WholeController:
 
 
 @dataclass(frozen=True)
-class TrainedNetwork:
+class NetworkAlone:
     """A trained network to export, the number of its nodes, and samples (X, u, D_hat, t) that its file is tested on."""
 
     operator: "TrainedOperator"
@@ -134,7 +134,7 @@ class TrainedNetwork:
 
 
 def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Exported]:
-    """A function that writes a WholeController or a TrainedNetwork to a path in a format, with these of its options.
+    """A function that writes a WholeController or a NetworkAlone to a path in a format, with these of its options.
 
     Raises ConfigError for an option that the format has not, MissingError for a package that is not there; the function
     raises ConfigError for a part that has no such form and for a place where nothing can be written.
@@ -151,7 +151,7 @@ def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Expor
     values = {name: option.default for name, option in declared.options.items()} | dict(options)
     function = attribute(declared.target, f"export {form}", declared.extra)
 
-    def write(of: WholeController | TrainedNetwork, path: Path) -> Exported:
+    def write(of: WholeController | NetworkAlone, path: Path) -> Exported:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             return function(of, path, **values)
@@ -202,7 +202,7 @@ def export(controller: "Controller", form: str, path: str | Path, **options: Any
     if form not in FORMATS:
         raise ConfigError(unlisted("form", form, FORMATS))
     write = writer(form, options)
-    of: WholeController | TrainedNetwork = WholeController(controller, X0=controller.plant.target(0.0))
+    of: WholeController | NetworkAlone = WholeController(controller, X0=controller.plant.target(0.0))
     if FORMATS[form].network:
         predictor = bare(controller.predictor)
         operator: Any = getattr(predictor, "operator", None)
@@ -211,5 +211,5 @@ def export(controller: "Controller", form: str, path: str | Path, **options: Any
             raise ConfigError(f"export {form}: {what}; npred.load one")
         domain = operator.domain  # which has some rows of the data
         samples = domain.X, grid.means(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
-        of = TrainedNetwork(operator, controller.plant, predictor.nx, samples, predictor.name)
+        of = NetworkAlone(operator, controller.plant, predictor.nx, samples, predictor.name)
     return write(of, Path(path)).files

@@ -49,9 +49,7 @@ class Guarded(Predictor):
 
     name: ClassVar[str] = "guarded"
 
-    def __init__(
-        self, model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None) -> None:
         if not isinstance(model, Predictor):
             raise ConfigError(f"guarded: expected a Predictor, got {model!r}; load one with npred.load")
         if exact is not None and not isinstance(exact, Predictor):

@@ -68,17 +68,17 @@ class Loop:
 
     @property
     def on_a_clock(self) -> bool:
-        """True if calls, samples and commands have times of their own."""
+        """True if calls, samples and commands each have their times."""
         return any(part is not None for part in (self.timing, self.observer, self.watchdog))
 
     @classmethod
     def of(cls, call: str, unused: tuple[str, ...], parts: dict[str, Any]) -> Self:
         """The loop of a call's arguments. Raises ConfigError for a name that it does not have, or cannot use there."""
-        known = [field.name for field in fields(cls) if field.name not in unused]
+        names = [field.name for field in fields(cls) if field.name not in unused]
         for name in parts:
-            if name not in known:
-                what = f"expected a part of the loop, one of {', '.join(known)}"
-                raise ConfigError(f"{call}: {what}, got {name!r}{similar(name, known) or '; leave it out'}")
+            if name not in names:
+                what = f"expected a part of the loop, one of {', '.join(names)}"
+                raise ConfigError(f"{call}: {what}, got {name!r}{similar(name, names) or '; leave it out'}")
         if parts.get("measurement", 0) is None:
             del parts["measurement"]
         return cls(**parts)
