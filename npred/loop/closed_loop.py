@@ -15,7 +15,6 @@ from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
 from npred.loop import clocked, engine, loop_checks
 from npred.loop.loop import Loop, LoopParts
-from npred.loop.simulation import LANES as LANES
 from npred.loop.simulation import Simulation
 from npred.loop.trajectories import Samples, Trajectories, of_record
 from npred.plants import inputs

@@ -23,7 +23,7 @@ from npred.lab.config import FROZEN, PAPER, Loop, Pipeline, Scenario
 from npred.lab.config.conditions import Condition, condition
 from npred.lab.config.conditions.condition import observer
 from npred.loop import clocked
-from npred.loop.closed_loop import LANES
+from npred.loop.simulation import LANES
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant, inputs
 from npred.prediction import methods as predictors

@@ -46,7 +46,7 @@ def run(job: Job) -> Certified:
     with job.threads() as pool:
         bare = {contender: pool.submit(_loops, job, guard.model) for contender, guard in guards.items()}
         guarded = {contender: pool.submit(_loops, job, guard) for contender, guard in guards.items()}
-        rows = {
+        rows: dict[PredictorId, dict[str, Any]] = {
             contender: {"tolerance": guard.tolerance}
             | _rollouts(table, by_rollout[contender])
             | _behaviour(job.plant, loops, bare[contender].result(), guarded[contender].result())

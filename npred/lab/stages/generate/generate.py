@@ -17,7 +17,7 @@ from npred.lab.scheduler.job import Job
 from npred.lab.stages.generate import rollouts, sampling, sharded
 from npred.lab.stages.generate.rollouts import Columns
 from npred.lab.training.data.dataset import Dataset, attributes
-from npred.loop.closed_loop import LANES
+from npred.loop.simulation import LANES
 
 BATCH = 8 * LANES  # rollouts of a task at most: a cluster's scheduler has little to do with each
 

@@ -14,7 +14,8 @@ from npred.lab.config import Generate, Pipeline, conditions
 from npred.lab.config.conditions import Condition
 from npred.lab.scheduler.configuration import identity
 from npred.lab.stages.generate import sampling
-from npred.loop.closed_loop import LANES, Trajectories
+from npred.loop.closed_loop import Trajectories
+from npred.loop.simulation import LANES
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant, inputs
 from npred.prediction.methods import Predictor, numerical

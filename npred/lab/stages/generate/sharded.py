@@ -25,7 +25,7 @@ from npred.lab.scheduler.job import Job
 from npred.lab.stages.generate import rollouts, sampling
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset, attributes
-from npred.loop.closed_loop import LANES
+from npred.loop.simulation import LANES
 from npred.plants import Plant
 
 TOKEN = ".token"
