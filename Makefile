@@ -27,7 +27,7 @@ test-fast: dev ## the tests that take no more than a few seconds each
 campaign: dev ## the longest tests: 10^5 steps in C and an FMU, hostile names, published networks, real stages killed
 	$(BIN)/python -m pytest -n auto -m campaign
 
-gpu: dev ## what only a machine with a GPU can test: graphs captured, seeds side by side, stages there; prints times
+gpu: dev ## what only a machine with a GPU can test: graphs that are captured, stages there; prints times
 	NPRED_TEST_GPU=1 $(BIN)/python -m pytest -m gpu -s tests/training/test_on_gpu.py
 
 smoke: install ## the whole chain on a tiny problem

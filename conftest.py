@@ -19,8 +19,7 @@ from typer.testing import CliRunner, Result
 
 from npred.cli import app
 from npred.lab.config import Pipeline
-from npred.lab.scheduler.plan import Node
-from npred.lab.scheduler.stage_registry import STAGES, Planner
+from npred.lab.scheduler.plan import STAGES, Node, Planner
 from npred.lab.store import Store
 
 Call = Callable[..., Result]

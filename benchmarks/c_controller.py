@@ -19,10 +19,10 @@ from pathlib import Path
 from typer.testing import CliRunner
 
 import npred
+from npred.base import defaults
 from npred.cli import app
 from npred.exports import c_controller
 from npred.lab import config
-from npred.lab.config import defaults
 
 FLAGS = "-O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros -freciprocal-math"
 PROGRAM = r"""

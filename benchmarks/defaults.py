@@ -13,7 +13,7 @@ from pathlib import Path
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.lab import config
-from npred.lab.config.conditions import condition
+from npred.lab.config import conditions
 from npred.lab.scheduler import pipeline_fit
 
 TUTORIAL = Path(__file__).parent.parent / "docs" / "own_plant.md"
@@ -40,7 +40,7 @@ def row(name: str, D: float) -> tuple[float | None, str]:
         return None, "declares its delay: nothing is estimated"
     try:
         pipeline_fit.require(plant, pipeline, ("generate",))
-        law = condition.adaptation(pipeline.evaluate, plant)
+        law = conditions.adaptation(pipeline.evaluate, plant)
         return (law.gamma if law else None), "; ".join(pipeline_fit.doubts(plant, pipeline)) or "converges"
     except ConfigError as error:
         return None, str(error)

@@ -16,7 +16,7 @@ import numpy as np
 import npred
 from npred.base import grid
 from npred.lab import config
-from npred.lab.config.conditions import condition
+from npred.lab.config import conditions
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.models import load_data
 from npred.lab.training.data import shards
@@ -74,7 +74,7 @@ def of_networks(models: list[str]) -> None:
     for model in models:
         network, pipeline = npred.load(model), model.rpartition(":")[0]
         data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
-        law = condition.adaptation(config.load(pipeline).evaluate, network.plant)
+        law = conditions.adaptation(config.load(pipeline).evaluate, network.plant)
         u = grid.refine(data.u, network.nx)
         exact = npred.predictor("rk4", network.plant, network.nx)(data.X, u, data.D_hat)
         both = network(data.X, u, data.D_hat), exact

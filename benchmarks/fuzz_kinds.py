@@ -14,7 +14,7 @@ from npred import plants
 from npred.base.errors import NpredError, StoreError
 from npred.lab import config
 from npred.lab.config import FNO, DeepONet
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
+from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.store import Artifact, Question, Store
 from npred.lab.store.manifest import sha256
 from npred.lab.training import operators

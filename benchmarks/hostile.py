@@ -20,10 +20,9 @@ from npred import metrics
 from npred.guard.guarded import Guarded
 from npred.lab import config
 from npred.lab.config import FROZEN, Evaluate, Scenario
-from npred.lab.config.conditions import EVERY, Condition, box
-from npred.lab.config.conditions.scenarios import delay
+from npred.lab.config.conditions import EVERY, Condition, box, true_delay
 from npred.lab.config.evaluate import Jump
-from npred.lab.config.loop import Sensors
+from npred.loop.measurement import Sensors
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
 
@@ -60,7 +59,7 @@ def conditions(plant: Plant, pipeline: config.Pipeline, loops: int, t_end: float
             for share in (0.03, 0.05)
         },
         **{f"D̂(0) = {share:g} D": replace(nominal, D_hat=share * D) for share in (0.1, 4.0)},
-        "D from 2 D to D / 4": replace(nominal, table=slow, D=delay(slow, faster)),
+        "D from 2 D to D / 4": replace(nominal, table=slow, D=true_delay(slow, faster)),
         **{f"pulse of U {size:+g}": replace(nominal, disturbance=pulse(size, at)) for size in (0.5, -0.5, 1.0, -1.0)},
         "five samples of X with the sign turned": replace(nominal, observer=flipped),
     }

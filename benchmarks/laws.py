@@ -10,8 +10,8 @@ import argparse
 import time
 
 import npred
-from npred import plants
-from npred.diagnosis import Case, region
+from npred import diagnosis, plants
+from npred.diagnosis import Case
 
 
 def main() -> None:
@@ -26,7 +26,7 @@ def main() -> None:
         plant, verdicts = npred.plant(name), []
         for law in options.laws:
             began = time.perf_counter()
-            answer = region.offer(law, plant, Case(plant, delay=1.0, nodes=101, samples=256))
+            answer = diagnosis.offer(law, plant, Case(plant, delay=1.0, nodes=101, samples=256))
             verdicts.append(answer.verdict)
             kept[law] += answer.verdict == "yes"
             print(f"{name}, {law}: {answer.text} ({time.perf_counter() - began:.0f} s)", flush=True)

@@ -54,8 +54,6 @@ nitpicky = True
 # Types of other projects: their documentation is not fetched, so that a build needs no network.
 nitpick_ignore_regex = [
     ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py|types)\..*|optional"),
-    (
-        "py:class",
-        r"Neural|Fused|Onnx|npred\.registry\.Source|npred\.loop\.delay_law\.DelayLaw|npred\.predictors\.base\.Compiled|npred\.operators\.scaling\.Scaling|npred\.config\.pipeline\.Pipeline|npred\.results\.evaluate\.Evaluated|npred\.runs\.Kind",
-    ),
+    ("py:class", r"Neural|Fused|Onnx|npred\.(base\.registry\.Source|kernels\.kernel\.Kernel|loop\.loop\.\w+Parts)"),
+    ("py:class", r"npred\.lab\.(config\..*|scheduler\.runs\.Kind|training\.operators\.scaling\.Scaling)"),
 ]

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from npred import networks as runtimes
-from npred.base import randomness
-from npred.lab.config import FNO, DeepONet, Network, defaults
+from npred.base import defaults, randomness
+from npred.lab.config import FNO, DeepONet, Network
 from npred.lab.config import Training as Table
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.executors import Threads
@@ -97,7 +97,7 @@ class LoopTraining:
         """What progress calls the training for a loop."""
         return f"{self.experiment} {self.network}, {loop}"
 
-    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> "TrainedNetwork":
+    def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> "LearnedNetwork":
         """A network trained for a loop, in two files of the result too."""
         start, plant, folder = time.perf_counter(), loop.plant(), self.place.folder / name.replace(" ", "_")
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,7 +123,7 @@ class LoopTraining:
         save(folder, operator, table)
         if regression:
             regression.save(folder)
-        return TrainedNetwork(plant, operator, regression, test, numbers(operator, learned, last, start))
+        return LearnedNetwork(plant, operator, regression, test, numbers(operator, learned, last, start))
 
     def _trained(self, fit: Fit, folder: Path, turn: int, epochs: int) -> dict[str, Any]:
         """The last epoch's metrics of a round; no other shares its checkpoints."""
@@ -140,7 +140,7 @@ class LoopTraining:
 
 
 @dataclass(frozen=True)
-class TrainedNetwork:
+class LearnedNetwork:
     """A network and the regression whose rest it has learned; calls that it has not seen, and how its training went."""
 
     plant: Plant

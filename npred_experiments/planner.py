@@ -41,7 +41,7 @@ class ExperimentPlanner(Resolver):
         """The same for all experiments: no pipeline."""
         return STAGE
 
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         return replace(self, store=Store(self.store.root.absolute()))
 
     def nodes(self, trained: bool = True) -> list[Node]:

@@ -14,7 +14,7 @@ from npred.cli import export
 from npred.cli.options import drawable, writable
 from npred.estimation.adaptation import DelayAdaptation
 from npred.guard.guarded import Guarded
-from npred.lab.config.conditions import condition
+from npred.lab.config import conditions
 from npred.lab.report import figures
 from npred.lab.report.figures.style import MEDIA
 from npred.lab.report.terminal import interruption
@@ -66,7 +66,7 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     """
     context, ends, seconds = multiprocessing.get_context("spawn"), network.pair(), options.seconds
     table, console = options.config.evaluate, options.console
-    truth = condition.truth(plant, table) or plant
+    truth = conditions.truth(plant, table) or plant
     work: list[tuple[Any, tuple[Any, ...]]] = [
         (sides.control, (controller, ends[0], channel, seconds, path)),
         (sides.simulate, (truth, table, controller.u0, controller.observer, ends[1], channel)),

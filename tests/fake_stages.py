@@ -16,7 +16,7 @@ from result_samples import BENCHED, HARDWARE, SCORES, TRAINED, evaluated
 
 from npred.base.json_files import plain
 from npred.lab.scheduler.declaration import Stage
-from npred.lab.scheduler.stage_registry import STAGES
+from npred.lab.scheduler.plan import STAGES
 
 
 @dataclass(frozen=True)

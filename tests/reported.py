@@ -6,9 +6,8 @@ from jobs import tables
 from silent import Silent
 
 from npred.lab import config
-from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import Planner, nodes, usual
-from npred.lab.scheduler.task import Outcome
+from npred.lab.scheduler.plan import Planner, nodes, usual
+from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
 

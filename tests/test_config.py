@@ -57,10 +57,10 @@ def test_beside_the_files_that_it_names_a_pipeline_gives_their_names_alone(tmp_p
     path.write_text('plant = "sub/a.py:A"\n[generate]\ndata = "d.h5"\n[evaluate]\nadaptation = "../law.py:Law"\n')
     found = config.load(path)
     assert found.files == ["a.py", "d.h5", "law.py"]
-    bare = found.beside()
+    bare = found.with_file_names()
     assert (bare.plant, bare.generate.data, bare.evaluate.adaptation) == ("a.py:A", "d.h5", "law.py:Law")
     named = config.load(empty)
-    assert (named.beside(), named.files) == (named, [])
+    assert (named.with_file_names(), named.files) == (named, [])
 
 
 def test_overrides_reach_nested_keys_in_their_toml_type(empty: Path):

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from conftest import HERE, process_environment
 
+from npred.base import defaults
 from npred.base.errors import ConfigError
 from npred.lab import config
-from npred.lab.config import defaults
 
 SHIPPED = HERE.parent / "pipeline"
 

@@ -23,6 +23,9 @@ from typer.testing import CliRunner
 from npred.cli import app
 from npred.exports import FORMATS
 from npred.lab import config
+from npred.loop.measurement import Sensors
+from npred.loop.safety import SafetyFilter
+from npred.loop.timing import ControlClock
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import load
 
@@ -239,6 +242,9 @@ def test_the_reference_has_every_flag_and_every_key(extension: Callable[[str], A
     keys = "\n".join(reference.configuration())
     for model in (config.Generate, config.DeepONet, config.FNO, config.Network, config.Evaluate, config.Bench):
         assert all(f"| `{name}` | " in keys for name in model.model_fields)
+    for table, kind in {"measurement": Sensors, "timing": ControlClock, "safety": SafetyFilter}.items():
+        section = keys.partition(f"## `[STAGE.{table}]`")[2].partition("##")[0]
+        assert all(re.search(rf"^\| `{name}` \|.*\| .+ \|$", section, re.MULTILINE) for name in vars(kind()))
 
 
 def test_the_reference_has_every_key_of_every_result(extension: Callable[[str], Any]):

@@ -16,7 +16,7 @@ import npred
 from npred.base.errors import ConfigError
 from npred.lab.config.results import Evaluated, PredictorId
 from npred.lab.scheduler import runs
-from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
 

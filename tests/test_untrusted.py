@@ -21,7 +21,7 @@ from npred.base.errors import ConfigError, StoreError
 from npred.lab import config
 from npred.lab.config import FNO, DeepONet
 from npred.lab.scheduler.models import load_model
-from npred.lab.scheduler.stage_registry import nodes
+from npred.lab.scheduler.plan import nodes
 from npred.lab.store import Store
 from npred.lab.training import operators
 
@@ -102,14 +102,14 @@ def model(folder: Path, table: DeepONet | FNO) -> dict[str, Any]:
 )
 def test_no_room_is_made_for_weights_that_are_not_there(tmp_path: Path, table: DeepONet | FNO, change: dict[str, int]):
     found = model(tmp_path, table)
-    (tmp_path / "model.json").write_text(json.dumps(found | {"config": found["config"] | change}))
+    (tmp_path / "model.json").write_text(json.dumps(found | {"arguments": found["arguments"] | change}))
     with pytest.raises(StoreError, match=r"model\.safetensors: expected weights of this model, got: "):
         operators.load(tmp_path, plants.resolve("scalar"))
 
 
 def test_a_size_that_no_pipeline_may_ask_for_is_refused(tmp_path: Path):
     found = model(tmp_path, DeepONet(width=4, depth=1, basis=3, trunk=4))
-    (tmp_path / "model.json").write_text(json.dumps(found | {"config": found["config"] | {"width": 10**30}}))
+    (tmp_path / "model.json").write_text(json.dumps(found | {"arguments": found["arguments"] | {"width": 10**30}}))
     with pytest.raises(StoreError, match=r"model\.json: expected a network of deeponet, fno, .*got: .* width"):
         operators.load(tmp_path, plants.resolve("scalar"))
 

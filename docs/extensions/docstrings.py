@@ -16,25 +16,25 @@ ARRAY = stringify_annotation(ArrayLike, "smart")
 
 
 def plain(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """The lines of a docstring, in place, so that they look as they were written; what is indented is a formula.
+    """The lines of a docstring, in place, so that they look as they were written; indented lines are formulas.
 
     Sphinx's napoleon sets the sections.
     """
-    made: list[str] = []
+    output: list[str] = []
     in_sections = False
     for line, below in pairwise([*lines, ""]):
         in_sections |= set(below) == {"-"}
         indented = line.startswith("    ") and not in_sections
-        if indented and not (made and (made[-1].startswith("    ") or not made[-1].strip())):
-            made += ["", "::", ""]
-        if not indented and not in_sections and made and made[-1].startswith("    "):
-            made.append("")
-        made.append(line if indented else _escaped(line))
-    lines[:] = NumpyDocstring(made, SECTIONS).lines()
+        if indented and not (output and (output[-1].startswith("    ") or not output[-1].strip())):
+            output += ["", "::", ""]
+        if not indented and not in_sections and output and output[-1].startswith("    "):
+            output.append("")
+        output.append(line if indented else _escaped(line))
+    lines[:] = NumpyDocstring(output, SECTIONS).lines()
 
 
 def short(app: Sphinx, what: str, name: str, thing: Any, options: Any, signature: Any, returned: Any) -> Any:
-    """A signature with the name of ArrayLike for what it stands for."""
+    """A signature with the name ArrayLike in place of its long type."""
     return signature and signature.replace(ARRAY, "~numpy.typing.ArrayLike"), returned
 
 

@@ -1,7 +1,6 @@
 """The loops of docs/play.md as WebAssembly: the controller that `npred export controller` writes, and its plant, in C.
 
-_static/play_loops.js of the built pages holds them, and what the page has to know of them. It is made only when they
-change.
+_static/play_loops.js of the built pages holds them, with their names and ranges. It is written only when they change.
 """
 
 import base64
@@ -108,7 +107,7 @@ def compiled(text: str) -> bytes:
 
 
 def described(scene: Scene) -> dict[str, Any]:
-    """What the page has to know of a scene, ready for JSON."""
+    """The facts of a scene that the page shows, ready for JSON."""
     plant = npred.plant(scene.plant)
     names = {"states": list(plant.states), "inputs": list(plant.inputs), "rest": plant.equilibrium.tolist()}
     return scene._asdict() | names

@@ -4,30 +4,32 @@ import inspect
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import typer.main
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 from sphinx.util import logging
 
 from npred import cli, plants
+from npred.base import registry
 from npred.cli.options import Common, Planned, Work
 from npred.lab import config
 from npred.lab.config.results import Result
 from npred.lab.config.section import MOST
-from npred.lab.scheduler.stage_registry import STAGES
 
 logger = logging.getLogger(__name__)
 
 IN_COMMON: dict[type[config.Section], tuple[str, str]] = {  # tables that others extend: a heading, and a path below it
-    config.Loop: ("Loops: `[generate]` and `[evaluate]`", "STAGE"),
+    config.LoopTable: ("Loops: `[generate]` and `[evaluate]`", "STAGE"),
     config.Training: ("Networks: every table `[train.NAME]`", "train.NAME"),
 }
+
+
+NESTED = {list: "list", Sequence: "list", tuple: "pair", dict: "table"}
 
 
 def _own(options: type[Common], *bases: type[Common]) -> list[str]:
@@ -120,7 +122,8 @@ def _default(parameter: Any) -> str:
 def configuration() -> Iterator[str]:
     """The page of the pipeline file: a section per table, a row per key."""
     yield from ("# Configuration", "", "A pipeline is a TOML file; `--set table.key=value` overrides a key for a run.")
-    yield "An unknown key or a value out of range is an error that names the key. Delays and times are in seconds."
+    yield "An unknown key or a value out of range is an error that names the key. Delays and times are in the plant's"
+    yield "unit of time, by default seconds."
     yield from ("The pipelines in `pipeline/` are examples. STAGE is `generate` or `evaluate`.", "")
     yield from _table("Top level", "", config.Pipeline, set())
 
@@ -132,8 +135,8 @@ def results() -> Iterator[str]:
     yield "`null` is a number that is not finite. In a heading `*` stands for each name, or for each entry of a list."
     yield "ε and κ are those of [theory](../theory.md)."
     described: dict[type, str] = {}
-    for name, stage in STAGES.items():
-        yield from _result(name, stage.result, described)
+    for name in registry.STAGES:
+        yield from _result(name, registry.declared_stage(name).result, described)
 
 
 def _result(path: str, model: type[Result], described: dict[type, str]) -> Iterator[str]:
@@ -163,7 +166,7 @@ def _result(path: str, model: type[Result], described: dict[type, str]) -> Itera
         yield from _result(section, kind, described)
 
 
-def _owner(model: type[BaseModel], name: str) -> type:
+def _owner(model: type, name: str) -> type:
     """The class that declares a field."""
     return next(base for base in model.__mro__ if name in vars(base).get("__annotations__", {}))
 
@@ -192,8 +195,11 @@ def _few(names: list[str]) -> str:
     return ", ".join(names) if len(names) < 5 else f"{names[0]} … {names[-1]}: {len(names)}"
 
 
-def _table(heading: str, path: str, model: type[config.Section], described: set[type]) -> Iterator[str]:
-    """A section for the keys that the model adds to a table in common or that have another default, and its tables."""
+def _table(heading: str, path: str, model: type, described: set[type]) -> Iterator[str]:
+    """A section for the keys that the model adds to a table in common or that have another default, and its tables.
+
+    The model is a Section, or a dataclass of the library.
+    """
     if model in described:
         return
     described.add(model)
@@ -201,12 +207,12 @@ def _table(heading: str, path: str, model: type[config.Section], described: set[
     if common:
         yield from _table(*IN_COMMON[common], common, described)
     before = common.model_fields if common else {}
-    keys = {k: f for k, f in model.model_fields.items() if k not in before or f.default != before[k].default}
+    keys = {k: f for k, f in _keys(model).items() if k not in before or f.default != before[k].default}
     yield from ("", f"## {heading}", "", _words(model), "", "| key | type | default | meaning |", "|---|---|---|---|")
     for name, field in keys.items():
         if _inner(field) is None:
             yield f"| `{name}` | {_cell(_type(field))} | {_value(field)} | {_cell(_meaning(model, name))} |"
-        elif field.default is None or issubclass(model, config.Loop):
+        elif field.default is None or issubclass(model, config.LoopTable):
             yield f"| `{name}` | table | | {_cell(_meaning(model, name))} |"
     for name, field in keys.items():
         if inner := _inner(field):
@@ -218,10 +224,17 @@ def _table(heading: str, path: str, model: type[config.Section], described: set[
         yield from _table("`[train.NAME]`", "train.NAME", config.Network, described)
 
 
-def _meaning(model: type[BaseModel], name: str) -> str:
-    """What stands behind #: at a field, in the class that declares it, or the description that the field has."""
-    if (field := model.model_fields[name]).description:
-        return str(field.description)
+def _keys(model: type) -> dict[str, FieldInfo]:
+    """The fields of a model or a dataclass by name."""
+    if is_dataclass(model):
+        return {field.name: FieldInfo.from_annotated_attribute(field.type, field.default) for field in fields(model)}
+    return model.model_fields
+
+
+def _meaning(model: type, name: str) -> str:
+    """The comment behind #: at a field, in the class that declares it, or the description that the field has."""
+    if description := _keys(model)[name].description:
+        return description
     owner = _owner(model, name)
     comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
     meaning = " ".join(comments.get((owner.__name__, name), [])).strip()
@@ -230,15 +243,17 @@ def _meaning(model: type[BaseModel], name: str) -> str:
     return meaning
 
 
-def _inner(field: FieldInfo) -> type[config.Section] | None:
+def _inner(field: FieldInfo) -> type | None:
     """The table that a key is, or may be."""
-    kinds = (field.annotation, *get_args(field.annotation)) if get_origin(field.annotation) is not list else ()
-    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, config.Section)), None)
+    kinds = _parts(field.annotation) if get_origin(field.annotation) is not list else []
+    classes = (kind for kind in kinds if isinstance(kind, type))
+    return next((kind for kind in classes if issubclass(kind, config.Section) or is_dataclass(kind)), None)
 
 
 def _words(model: type) -> str:
-    """The model's own docstring as running text."""
-    return " ".join((model.__doc__ or "").split())
+    """The model's docstring as running text, without the errors that it raises."""
+    paragraphs = (model.__doc__ or "").split("\n\n")
+    return " ".join(word for text in paragraphs if not text.strip().startswith("Raises ") for word in text.split())
 
 
 def _value(field: FieldInfo) -> str:
@@ -262,10 +277,10 @@ def _name(kind: Any) -> str:
         return {float: "number", int: "integer", str: "text", bool: "true or false", Any: "values"}.get(kind, str(kind))
     if hasattr(kind, "__metadata__"):
         return _limited(_name(inner[0]), kind.__metadata__)
-    if origin in (list, tuple, dict):
-        return {list: "list", tuple: "pair", dict: "table"}[origin] + " of " + _plural(_name(inner[-1]))
+    if origin in NESTED:
+        return NESTED[origin] + " of " + _plural(_name(inner[-1]))
     if all(isinstance(part, str) for part in inner):
-        return " · ".join(f"`{part}`" for part in inner)
+        return " · ".join(f"`{part}`" for part in inner if part)
     return " or ".join(text for text in map(_name, inner) if text)
 
 

@@ -15,7 +15,7 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from npred.base import json_files, source_lines
+from npred.base import json_files
 from npred.base.errors import ConfigError, imported, similar
 
 SUFFIX = ".py:"
@@ -146,6 +146,8 @@ class Registry:
         try:
             return entry.load()
         except (Exception, SystemExit) as error:
+            from npred.base import source_lines
+
             package = entry.dist.name if entry.dist else "a package"
             reason = source_lines.one_line(error)
             raise ConfigError(
@@ -206,7 +208,7 @@ LAWS = Registry(  # kappa, designed from f
     "npred.laws",
     {
         "lqr": Entry("npred.laws.regulator:lqr", "LQR"),
-        "pole_placement": Entry("npred.laws.placement:pole_placement", "pole placement"),
+        "pole_placement": Entry("npred.laws.linearisation:pole_placement", "pole placement"),
         "feedback_linearisation": Entry("npred.laws.linearisation:feedback_linearisation", "feedback linearisation"),
         "sontag": Entry("npred.laws.universal:sontag", "Sontag's formula"),
     },
@@ -372,6 +374,8 @@ def load(what: str, spec: str) -> tuple[Any, Source]:
     try:
         exec(code, space)
     except (Exception, SystemExit) as error:
+        from npred.base import source_lines
+
         line = source_lines.last_line(error, str(path))
         raise ConfigError(
             f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; python {path} shows more"

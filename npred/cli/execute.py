@@ -12,11 +12,9 @@ from npred.lab.config.results import Benched, Evaluated, Reported
 from npred.lab.report.terminal.console import columns
 from npred.lab.report.terminal.run_log import Events
 from npred.lab.scheduler import executors
-from npred.lab.scheduler.plan import Step
+from npred.lab.scheduler.plan import STAGES, Planner, Step, nodes, usual
 from npred.lab.scheduler.retention import remember
-from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes, usual
-from npred.lab.scheduler.task import Outcome
+from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.store import short
 
 

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 
 from npred import exports, plants
-from npred.base import grid
+from npred.base import defaults, grid
 from npred.base.errors import ConfigError
 from npred.cli.options import Exporting, ExportingLoop, writable, writable_folder
 from npred.estimation.adaptation import DelayAdaptation
 from npred.exports import FORMATS, NetworkAlone, WholeController
 from npred.guard.guarded import Guarded
 from npred.lab import config
-from npred.lab.config import Evaluate, defaults
-from npred.lab.config.conditions import condition
+from npred.lab.config import Evaluate, conditions
 from npred.lab.scheduler.models import load_model
 from npred.lab.training import operators
 from npred.lab.training.data import shards
@@ -104,7 +103,7 @@ def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
     D_hat = None if plant.declares_delay else table.D_hat0
-    return Controller(replace(condition.described(table, plant, predictor), D_hat=D_hat, u0=u0, **more))
+    return Controller(replace(conditions.described(table, plant, predictor), D_hat=D_hat, u0=u0, **more))
 
 
 def watchdog(text: str) -> Watchdog | None:

@@ -8,16 +8,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from npred.base import devices
+from npred.base import defaults, devices
 from npred.base.errors import ConfigError, NpredError, StoreError, disk_is_full
 from npred.base.registry import RESOLVERS
 from npred.cli.options import Common
 from npred.lab import config
-from npred.lab.config import defaults
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.cells import cells
+from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import Kept, closure, remembered
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
 from npred.lab.store import MARKER, Artifact, Store, claims, short
 
 KEY = re.compile("[0-9a-f]{64}")

@@ -8,9 +8,8 @@ from npred.base.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.base.json_files import escaped
 from npred.base.registry import RESOLVERS
 from npred.cli.options import Common, Planned, drawable
-from npred.lab.scheduler.plan import Step
+from npred.lab.scheduler.plan import STAGES, Step, nodes, usual
 from npred.lab.scheduler.reasons import changes, differences, flat
-from npred.lab.scheduler.stage_registry import STAGES, nodes, usual
 from npred.lab.store import Artifact, short
 
 

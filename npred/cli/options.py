@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
+from npred.base import defaults
 from npred.base.errors import ConfigError
-from npred.lab.config import defaults
 from npred.lab.report.terminal.console import Console, columns
 
 if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help` has no use for
     from npred.lab.config import Pipeline
-    from npred.lab.scheduler.stage_registry import Planner
+    from npred.lab.scheduler.plan import Planner
     from npred.lab.store import Store
 
 
@@ -99,7 +99,7 @@ class Planned(Common):
     def planner(self, forced: frozenset[str] = frozenset(), borrows: bool = False) -> "Planner":
         """The pipeline against the store; `borrows` as for Planner."""
         from npred.base import devices
-        from npred.lab.scheduler.stage_registry import Planner
+        from npred.lab.scheduler.plan import Planner
 
         return Planner(self.config, self.results, devices.resolve(self.device), forced, borrows)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from npred.base import json_files
 from npred.base.errors import ConfigError
 from npred.cli.options import Planned, Work
-from npred.lab.scheduler.task import Outcome
+from npred.lab.scheduler.runner import Outcome
 
 if TYPE_CHECKING:
     from npred.lab.report.figures.style import Style

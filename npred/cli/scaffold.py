@@ -9,9 +9,9 @@ from keyword import iskeyword
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from npred.base import defaults
 from npred.base.errors import ConfigError
 from npred.cli.options import Common
-from npred.lab.config import defaults
 
 if TYPE_CHECKING:
     from npred.plants import Plant

@@ -25,9 +25,9 @@ from npred.lab.report.figures.style import ROLES, line_of, log
 from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.cells import Cell, cells
+from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import remember
 from npred.lab.scheduler.runner import CellRun, Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from npred.cli.options import Planned, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Tuned
-from npred.lab.config.section import moved
+from npred.lab.config.section import map_paths
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import columns
 from npred.lab.stages.report import toml_text
@@ -40,7 +40,9 @@ def tune(options: Planned, free: list[str], output: Path | None) -> None:
         if output and result.gained:
             output.write_text(
                 f"{MADE} {options.pipeline.name}\n# {result.sentence}\n\n"
-                + _pipeline(moved(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result),
+                + _pipeline(
+                    map_paths(tables, lambda file: relpath(file, output.parent)), pipeline, planner.plant, result
+                ),
                 encoding="utf-8",
             )
             text += f"\nwrote {output}"

@@ -1,13 +1,17 @@
 """The check of a plant, one answer per question, before an hour of rollouts and training."""
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from npred import plants
 from npred.base.errors import ConfigError
-from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, lyapunov, region
+from npred.base.registry import LAWS
+from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -15,6 +19,8 @@ from npred.plants.base import Plant
 __all__ = ["QUESTIONS", "Answer", "Case", "PlannedExperiment", "answers", "check", "longest", "settled"]
 
 NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
+
+EIGHTHS, HALF = 8, 4  # sub-boxes that are looked at, and the one that a law should converge from
 
 # In the order of their answers, each after those that it needs.
 QUESTIONS = (
@@ -25,9 +31,9 @@ QUESTIONS = (
     Check("delay", lambda case: ("yes", f"{case.plant.time_text(case.delay)}, {case.source}")),
     Check("feasibility", box.feasible, lambda case: case.sound and case.plant.declares_delay),
     Check("equilibrium", equilibrium.equilibrium, lambda case: case.plant.rests),
-    Check("stability", equilibrium.stability, equilibrium.exists),
+    Check("stability", equilibrium.stability, lambda case: case.plant.rests and case.verdict("equilibrium") != "no"),
     Check("reference", equilibrium.reference, lambda case: not case.plant.rests),
-    Check("V", lyapunov.falls, lyapunov.applies),
+    Check("V", equilibrium.V_falls, equilibrium.V_applies),
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
     Check("delay margin", delay_margin.bears, delay_margin.applies),
@@ -64,15 +70,16 @@ def answers(case: Case) -> list[Answer]:
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
         advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'
-        return [Answer("kappa", "no", f"{missing}, {advice}"), *region.offers(plant, case)]
+        offers = [offer(name, plant, case) for name in _designed_from_f()]
+        return [Answer("kappa", "no", f"{missing}, {advice}"), *offers]
     for question in QUESTIONS:
         if case.verdict("trace") != "no":
             case.ask(question)
     rows = list(case.answers.values())
     if plant.law and case.sound and case.leads == "yes":
-        rows.append(region.converging("kappa", case))
+        rows.append(converging("kappa", case))
         if plant.law_table and rows[-1].verdict != "yes":
-            rows.append(region.instead(plant, case))
+            rows.append(instead(plant, case))
     return rows
 
 
@@ -94,3 +101,57 @@ def longest(plant: Plant, experiment: PlannedExperiment | None = None) -> tuple[
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
     return ASSUMED, "assumed: --delay gives another, or a pipeline instead of the plant"
+
+
+def instead(plant: Plant, case: Case) -> Answer:
+    """The first other law that is designed from f alone and converges from half the box, or that no such law does."""
+    tried, faults = [], {"warn": "does not converge from half the box", "no": "does not fit the plant"}
+    for name in _designed_from_f():
+        if name != plant.law_table["law"]:
+            answer = offer(name, plant, case)
+            if answer.verdict == "yes":
+                return Answer("other law", "yes", f"{name}: {answer.text}")
+            tried.append(f"{name} {faults[answer.verdict]}")
+    return Answer("other law", "warn", f"none: {', '.join(tried)}")
+
+
+def offer(name: str, plant: Plant, case: Case) -> Answer:
+    """Where the loop of that law converges, or why the plant does not take it."""
+    try:
+        return converging(name, replace(case, plant=plants.controlled(plant, name), answers={}))
+    except ConfigError as fault:
+        return Answer(name, "no", str(fault))
+
+
+def _designed_from_f() -> Iterator[str]:
+    """The laws that take no more than the plant, as poles."""
+    for name in LAWS.names():
+        parameters = inspect.signature(LAWS.load("kappa", name)).parameters.values()
+        if sum(parameter.default is parameter.empty for parameter in parameters) <= 1:
+            yield name
+
+
+def converging(name: str, case: Case) -> Answer:
+    """The share of starts in the box from which loops without delay converge, and the largest sub-box of which all do.
+
+    A sub-box is the box, shrunk by eighths about the point of it that is nearest to the target.
+    """
+    X0 = case.X[: equilibrium.LOOPS]
+    centre = np.clip(case.plant.target(0.0), *case.ends.T)
+    _, seconds, horizon = equilibrium.times(case)
+    looked = f"in {case.plant.time_text(seconds, '.3g')}"
+    looked += "" if seconds >= horizon else f", as long as was looked, of the {horizon:.3g} that its slowest rate takes"
+    shares: dict[int, float] = {}
+    for eighth in range(EIGHTHS, 0, -1):
+        home = equilibrium.approach(case, centre + eighth / EIGHTHS * (X0 - centre))[1] <= equilibrium.HOME
+        shares[eighth] = home.mean()
+        if home.all():
+            break
+    parts = ["from all of them" if shares[EIGHTHS] == 1 else f"from {shares[EIGHTHS]:.0%} of them"]
+    if shares.get(HALF, 1.0) < 1:
+        parts.append(f"from {shares[HALF]:.0%} of half of it")
+    if eighth < EIGHTHS:
+        all_from = f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}"
+        parts.append(all_from if shares[eighth] == 1 else "not from all of any sub-box")
+    verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
+    return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}, {looked}")

@@ -178,33 +178,29 @@ class MismatchedLoop:
         """The response of the commands to a mismatch at the inputs, (frequencies, m, m), at s = c + iω."""
         order, s = np.argsort(self.r), c + 1j * omega
         ends = D_hat * self.r[order]
-        A = self.closed - self.B @ self.K
+        A, eye = self.closed - self.B @ self.K, np.eye(len(self.closed))
         flow, pieces = exponential(A * ends[0]), []
         for j, begin, end in zip(order[:-1], ends[:-1], ends[1:], strict=True):
             A = A + np.outer(self.B[:, j], self.K[j])
-            pieces.append(self._integral(A, flow, begin, end, s))
-            flow = exponential(A * (end - begin)) @ flow
-        resolvent = s[:, None, None] * np.eye(len(A)) - self.closed
+            # ∫ e^{A (σ - begin)} flow B e^{-s σ} dσ from begin to end, (frequencies, n, m)
+            h, speed, piece = end - begin, np.linalg.norm(A, 2), np.empty((len(s), *self.B.shape), complex)
+            across, fast = exponential(A * h), np.abs(s) > 2 * speed  # where A - s I is far from singular
+            last, first = (np.exp(-s[fast] * moment)[:, None, None] for moment in (end, begin))
+            right = (last * across - first * eye) @ flow @ self.B
+            piece[fast] = np.linalg.solve(A - s[fast, None, None] * eye, right)
+            x, weights = np.polynomial.legendre.leggauss(POINTS + int(3 * h * speed))
+            q = h * (x + 1) / 2
+            waves = np.exp(-np.outer(s[~fast], begin + q)) * weights * h / 2
+            piece[~fast] = np.einsum("wq,qij->wij", waves, exponential(A * q[:, None, None]) @ flow @ self.B)
+            pieces.append(piece)
+            flow = across @ flow
+        resolvent = s[:, None, None] * eye - self.closed
         x = np.exp(-s * D_hat)[:, None, None] * np.linalg.solve(resolvent, flow @ self.B + 0j)
         G = np.empty((len(omega), len(order), len(order)), complex)
         for j, end, piece in zip(order[::-1], ends[::-1], [0.0, *pieces[::-1]], strict=True):
             x = x + piece
             G[:, j] = np.exp(s * end)[:, None] * np.einsum("i,wij->wj", self.K[j], x)
         return G
-
-    def _integral(self, A: np.ndarray, flow: np.ndarray, begin: float, end: float, s: np.ndarray) -> np.ndarray:
-        """∫ e^{A (σ - begin)} flow B e^{-s σ} dσ over a piece, (frequencies, n, m)."""
-        h, speed = end - begin, np.linalg.norm(A, 2)
-        across, fast = exponential(A * h), np.abs(s) > 2 * speed  # where A - s I is far from singular
-        out = np.empty((len(s), *self.B.shape), complex)
-        shifted = A - s[fast, None, None] * np.eye(len(A))
-        last, first = (np.exp(-s[fast] * moment)[:, None, None] for moment in (end, begin))
-        out[fast] = np.linalg.solve(shifted, (last * across - first * np.eye(len(A))) @ flow @ self.B)
-        x, weights = np.polynomial.legendre.leggauss(POINTS + int(3 * h * speed))
-        q = h * (x + 1) / 2
-        waves = np.exp(-np.outer(s[~fast], begin + q)) * weights * h / 2
-        out[~fast] = np.einsum("wq,qij->wij", waves, exponential(A * q[:, None, None]) @ flow @ self.B)
-        return out
 
 
 def exponential(A: np.ndarray) -> np.ndarray:

@@ -37,14 +37,9 @@ class FittedModel:
     lags: np.ndarray | None = None
 
 
-def with_lag(problem: Problem) -> Problem:
-    """The same problem for a model with lags."""
-    return replace(problem, model=replace(problem.model, lag=True))
-
-
 def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest: float) -> FittedModel:
     """The best fit with first-order lags in place of the delays of these inputs."""
-    lagged, period = with_lag(problem), problem.segments.log.period
+    lagged, period = problem.with_lag(), problem.segments.log.period
     D, tau = delays.copy(), np.full(len(delays), NONE * period)
     D[inputs] = 0.0
 
@@ -57,27 +52,6 @@ def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest
     z, fit, _ = search.descend(at, at(z, None), z, low, high, 0.15, 0.01)
     at(z, fit)
     return FittedModel(lagged, fit, tau.copy())
-
-
-def lag_behind(problem: Problem, fit: SegmentFit, j: int, width: float) -> FittedModel:
-    """The best fit with a lag of some size behind the delay of input j."""
-    lagged, period, best = with_lag(problem), problem.segments.log.period, None
-    for share in SHARES:
-        tau = np.full(len(fit.delays), NONE * period)
-        tau[j] = share * max(fit.delays[j], period)
-
-        def at(z: np.ndarray, start: SegmentFit | None, tau: np.ndarray = tau) -> SegmentFit:
-            delays = fit.delays.copy()
-            delays[j] = z[0]
-            return lagged.fit(delays, start, 2, tau)
-
-        z = np.array([max(fit.delays[j] - tau[j], 0.0)])
-        high = np.array([fit.delays[j]])
-        _, new, _ = search.descend(at, at(z, fit), z, np.zeros(1), high, max(2 * width, 0.1 * tau[j]), 0.02 * tau[j])
-        if best is None or new.cost < best.fit.cost:
-            best = FittedModel(lagged, new, tau)
-    assert best is not None
-    return best
 
 
 def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
@@ -107,13 +81,28 @@ def thinned(delays: Delays) -> Delays:
 def of_input(delays: Delays, j: int, high: float) -> Alternative:
     """A lag in place of the delay of input j, and one behind it, against the delay alone."""
     instead = lag_instead(delays.problem, delays.values, [j], high)
-    as_good = not better(delays.fit, instead.fit, delays.inflation)
-    behind = None
-    if not as_good and delays.values[j] > 0:
-        both = lag_behind(delays.problem, delays.fit, j, delays.widths[j])
-        if better(both.fit, delays.fit, delays.inflation) and both.lags is not None:
-            behind = float(both.fit.delays[j]), float(both.lags[j])
     assert instead.lags is not None
+    as_good, behind = not better(delays.fit, instead.fit, delays.inflation), None
+    if as_good or not delays.values[j] > 0:
+        return Alternative(float(instead.lags[j]), as_good, behind)
+    fit, lagged, period = delays.fit, delays.problem.with_lag(), delays.problem.segments.log.period
+    best, best_tau = None, 0.0
+    for share in SHARES:
+        tau = np.full(len(fit.delays), NONE * period)
+        tau[j] = share * max(fit.delays[j], period)
+
+        def at(z: np.ndarray, start: SegmentFit | None, tau: np.ndarray = tau) -> SegmentFit:
+            moved = fit.delays.copy()
+            moved[j] = z[0]
+            return lagged.fit(moved, start, 2, tau)
+
+        z, longest = np.array([max(fit.delays[j] - tau[j], 0.0)]), np.array([fit.delays[j]])
+        step = max(2 * delays.widths[j], 0.1 * tau[j])
+        _, new, _ = search.descend(at, at(z, fit), z, np.zeros(1), longest, step, 0.02 * tau[j])
+        if best is None or new.cost < best.cost:
+            best, best_tau = new, float(tau[j])
+    if best is not None and better(best, fit, delays.inflation):
+        behind = float(best.delays[j]), best_tau
     return Alternative(float(instead.lags[j]), as_good, behind)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from npred.identification.log import Pieces, Segments, mean_square
-from npred.identification.model import MeasuredOutputs, RolloutModel
+from npred.identification.model import RolloutModel
 
 RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
 HALVINGS = 5
@@ -29,11 +29,6 @@ class Prior:
     mean: np.ndarray
     deviation: np.ndarray
     limits: np.ndarray
-
-    @property
-    def free(self) -> int:
-        """How many of theta nothing is known of."""
-        return int(np.isinf(self.deviation).sum())
 
     @cached_property
     def weight(self) -> np.ndarray:
@@ -62,7 +57,7 @@ class SegmentFit:
     @property
     def count(self) -> int:
         """Residuals less what was fitted to them."""
-        return int(np.isfinite(self.residuals).sum()) - self.X.size - self.prior.free
+        return int(np.isfinite(self.residuals).sum()) - self.X.size - int(np.isinf(self.prior.deviation).sum())
 
     def costs(self, weights: np.ndarray) -> np.ndarray:
         """The least cost (B,) with segments weighted (B, S), theta being optimal for each row of weights."""
@@ -93,15 +88,14 @@ class Problem:
     scale: np.ndarray
     prior: Prior
 
-    @cached_property
-    def sensors(self) -> MeasuredOutputs:
-        """What is measured of the model's states."""
-        return MeasuredOutputs(self.model)
-
     def some(self, rows: int) -> "Problem":
         """The same for segments spread over the log, of about so many samples together."""
         every = max(1, round(self.segments.mask.sum() / rows))
         return replace(self, segments=self.segments.some(slice(None, None, every)))
+
+    def with_lag(self) -> "Problem":
+        """The same for a model with lags."""
+        return replace(self, model=replace(self.model, lag=True))
 
     def rescaled(self, fit: SegmentFit) -> "Problem":
         """The same with the size of the residuals of a fit as their scale."""
@@ -112,15 +106,14 @@ class Problem:
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Initial states as they are measured, else the plant's guess, and theta as it is thought to be."""
-        X = self.sensors.states(self.segments.Y[:, 0])
+        X = self.model.measured_states(self.segments.Y[:, 0])
         return X, self.prior.mean
 
-    def fit(self, delays: np.ndarray, start: Any = None, steps: int = 3, tau: np.ndarray | None = None) -> SegmentFit:
-        """The fit with these delays, and lags (m,) of a model with lags, after at most so many steps from `start`.
-
-        That is another fit, or (X, theta).
-        """
-        X, theta = (start.X, start.theta) if isinstance(start, SegmentFit) else start or self.start()
+    def fit(
+        self, delays: np.ndarray, start: SegmentFit | None = None, steps: int = 3, tau: np.ndarray | None = None
+    ) -> SegmentFit:
+        """The fit with these delays, and lags (m,) of a model with lags, after at most so many steps from another."""
+        X, theta = (start.X, start.theta) if start else self.start()
         theta = np.clip(theta, *self.prior.limits)
         pieces, lag = self._inputs(delays, tau)
         best, moved = self._linear(delays, X, theta, pieces, lag)
@@ -143,7 +136,7 @@ class Problem:
         """The outputs (S, K, outputs) that the model of a fit has at the samples."""
         pieces, lag = self._inputs(fit.delays, tau)
         x, J = self.model.run(fit.X, fit.theta, pieces, lag)
-        return self.sensors.read(x, J, self.segments.t, self.model.parameters(fit.theta))[0]
+        return self.model.outputs(x, J, self.segments.t, self.model.parameters(fit.theta))[0]
 
     def _inputs(self, delays: np.ndarray, tau: np.ndarray | None) -> tuple[Pieces, Any]:
         """The pieces with these delays, and the states of lags with tau."""
@@ -163,7 +156,7 @@ class Problem:
         """The parabolas about a point, and the way to their least cost."""
         segments, n = self.segments, self.model.plant.n
         x, J = self.model.run(X, theta, pieces, lag)
-        y, G = self.sensors.read(x, J, segments.t, self.model.parameters(theta))
+        y, G = self.model.outputs(x, J, segments.t, self.model.parameters(theta))
         with np.errstate(all="ignore"):
             residuals = (segments.Y - y) / self.scale
         r = np.where(np.isfinite(segments.Y), residuals, 0.0)

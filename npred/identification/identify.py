@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
 from npred.identification import alternatives, recordings
-from npred.identification.estimate import Delays, estimate, parameters
+from npred.identification.estimate import estimate, parameters
 from npred.identification.fit import Prior, Problem
 from npred.identification.identified import Findings, Identified, Windows
 from npred.identification.log import Log, Segments, spread
-from npred.identification.model import MeasuredOutputs, RolloutModel
+from npred.identification.model import RolloutModel
 from npred.plants import Plant
 from npred.plants.base import require
 
@@ -43,18 +43,21 @@ class Settings:
     model_error: float = MODEL_ERROR
     seed: int = 0
 
-    @property
-    def wanted(self) -> tuple[str, ...]:
-        """The parameters that are estimated: those that are free, or have a range."""
-        return tuple(dict.fromkeys([*self.free, *(self.bounds or ())]))
+
+class Reading(TypedDict, total=False):
+    """How a recording is read: see `identify`."""
+
+    columns: Mapping[str, str]
+    scale: Mapping[str, float]
+    shift: Mapping[str, float]
+    time: str | None
+    time_unit: str | None
 
 
 def identify(
-    plant: Plant, t: Any, U: Any = None, X: Any = None, *, columns: Mapping[str, str] = {},
-    scale: Mapping[str, float] = {}, shift: Mapping[str, float] = {}, time: str | None = None,
-    time_unit: str | None = None, free: Sequence[str] = (), bounds: Mapping[str, tuple[float, float]] | None = None,
-    longest: float | None = None, offset: bool = False, time_varying: bool = False,
-    model_error: float = MODEL_ERROR, seed: int = 0,
+    plant: Plant, t: Any, U: Any = None, X: Any = None, *, free: Sequence[str] = (),
+    bounds: Mapping[str, tuple[float, float]] | None = None, longest: float | None = None, offset: bool = False,
+    time_varying: bool = False, model_error: float = MODEL_ERROR, seed: int = 0, **reading: Unpack[Reading],
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
@@ -72,16 +75,6 @@ def identify(
         Commands, each held until the next one; NaN is no new command.
     X : array (N, n), optional
         Measured states, or what the plant declares by output(x, t, p, M); NaN is no sample.
-    columns : dict of str, optional
-        Columns of a recording whose names are not those of inputs and outputs, {"q": "Q1"}.
-    scale : dict of float, optional
-        Factors that bring columns to the plant's units.
-    shift : dict of float, optional
-        What is then added.
-    time : str, optional
-        The column of the times.
-    time_unit : str, optional
-        Its unit.
     free : list of str, optional
         Parameters of the plant that are estimated.
     bounds : dict of (low, high), optional
@@ -97,6 +90,10 @@ def identify(
         that they are exact, as those of a black box are taken to be.
     seed : int, default 0
         Seed of the random numbers.
+    **reading : optional
+        Of the file of a recording: `columns`, the names of its columns where they are not those of inputs and outputs,
+        {"q": "Q1"}; `scale`, factors that bring columns to the plant's units; `shift`, numbers that are then added;
+        `time`, the column of the times; `time_unit`, their unit.
 
     Returns
     -------
@@ -118,7 +115,9 @@ def identify(
         got = "both" if is_file else f"no {'U' if U is None else 'X'}"
         raise ConfigError(f"identify: expected the path of a recording, or t, U and X, got {got}; give one of both")
     if is_file:
-        log = recorded(plant, Path(t), columns, scale, shift, time, time_unit)
+        log = recorded(plant, Path(t), **reading)
+    elif reading:
+        raise ConfigError(f"identify: expected {', '.join(reading)} with the path of a recording, got arrays; drop it")
     else:
         t, U, X = (array_checks.floats(name, value) for name, value in (("t", t), ("U", U), ("X", X)))
         U, X = (a[:, None] if a.ndim == 1 else a for a in (U, X))
@@ -145,25 +144,28 @@ def of_log(plant: Plant, log: Log, settings: Settings) -> Identified:
         plant, delays.values, interval, high, log.period, others, np.ptp(log.U, axis=0) == 0, asked, assumed,
         delays.inflation, _closed(log), alternatives.held_back(delays, high),
     )  # fmt: skip
-    return Identified(
-        plant, delays.values, interval, findings.identifiable, {name: row.value for name, row in asked.items()},
-        {name: (row.low, row.high) for name, row in asked.items()}, findings.held_back,
-        [*_units(plant, log), *findings.sentences],
-        _windows(delays, high, settings) if settings.time_varying else None, {"estimate": delays, "log": log},
-    )  # fmt: skip
-
-
-def _units(plant: Plant, log: Log) -> list[str]:
-    """One sentence for each measured state that lies far from the plant's box: its unit is another, perhaps."""
-    said = []
+    far = []  # measured states far from the plant's box: their unit is another, perhaps
     for name, y in () if plant.declares_output else zip(plant.states, log.Y.T, strict=True):
         if name not in plant.box or not np.isfinite(y).any():
             continue
-        (low, high), middle = plant.box[name], np.nanmedian(y)
-        if max(low - middle, middle - high) > FAR * (high - low):
-            log_and_box = f"{name} is about {middle:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
-            said.append(f"{log_and_box}: if the units differ, scale its column.")
-    return said
+        (low, end), middle = plant.box[name], np.nanmedian(y)
+        if max(low - middle, middle - end) > FAR * (end - low):
+            log_and_box = f"{name} is about {middle:.3g} in the recording, and {low:g} to {end:g} in the plant's box"
+            far.append(f"{log_and_box}: if the units differ, scale its column.")
+    windows = None
+    if settings.time_varying:  # each by itself
+        segments, (least, most), rows = problem.segments, WINDOW, []
+        count = int(np.clip(len(segments) // least, 1, most))
+        for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
+            part, rng = segments.some(chosen), randomness.generator(settings.seed, "window", k)
+            one = estimate(replace(delays.problem, segments=part), 0 * high, high, rng)
+            rows.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
+        windows = Windows(*(np.array(column) for column in zip(*rows, strict=True)))
+    return Identified(
+        plant, delays.values, interval, findings.identifiable, {name: row.value for name, row in asked.items()},
+        {name: (row.low, row.high) for name, row in asked.items()}, findings.held_back, [*far, *findings.sentences],
+        windows, {"estimate": delays, "log": log},
+    )  # fmt: skip
 
 
 def _closed(log: Log) -> float:
@@ -176,22 +178,9 @@ def _closed(log: Log) -> float:
     return float(1 - (left**2).sum() / (U**2).sum())
 
 
-def _windows(delays: Delays, high: np.ndarray, settings: Settings) -> Windows:
-    """The delays over windows of the log, each by itself."""
-    segments, (least, most) = delays.problem.segments, WINDOW
-    count = int(np.clip(len(segments) // least, 1, most))
-    values = []
-    for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
-        part = segments.some(chosen)
-        rng = randomness.generator(settings.seed, "window", k)
-        one = estimate(replace(delays.problem, segments=part), 0 * high, high, rng)
-        values.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
-    return Windows(*(np.array(column) for column in zip(*values, strict=True)))
-
-
 def recorded(
-    plant: Plant, path: Path, columns: Mapping[str, str], scale: Mapping[str, float], shift: Mapping[str, float],
-    time: str | None = None, time_unit: str | None = None,
+    plant: Plant, path: Path, columns: Mapping[str, str] = {}, scale: Mapping[str, float] = {},
+    shift: Mapping[str, float] = {}, time: str | None = None, time_unit: str | None = None,
 ) -> Log:  # fmt: skip
     """The log in a file; a column c is scale[c] c + shift[c] in the plant's unit.
 
@@ -205,18 +194,17 @@ def recorded(
     names = recordings.columns(path)
     unmeasured = [name for name in plant.outputs if every[name] not in names and name not in columns]
     if len(unmeasured) == len(plant.outputs):
-        raise ConfigError(
-            f"{path}: expected a column for one of {', '.join(plant.outputs)}, found {', '.join(names)}; map one by "
-            f"columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
-        )
+        cure = f"map one by columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
+        one = f"a column for one of {', '.join(plant.outputs)}"
+        raise ConfigError(f"{path}: expected {one}, found {', '.join(names)}; {cure}")
     chosen = {name: column for name, column in every.items() if name not in unmeasured}
     for key in (*scale, *shift):
         if key not in chosen.values():
             raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
     series = recordings.read(path, list(chosen.values()), time, time_unit)
-    in_units = {
-        name: (series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)) for name, c in chosen.items()
-    }
+    in_units = {}
+    for name, c in chosen.items():
+        in_units[name] = series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)
     return Log.of_series([in_units[name] for name in plant.inputs], [in_units.get(name) for name in plant.outputs])
 
 
@@ -227,18 +215,31 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
     duration = log.t[-1] - log.begin
     longest = settings.longest or min(duration / RANGE[0], RANGE[1] * log.period)
     rows = log.between(log.begin + longest, np.inf)
-    free, prior = _prior(plant, settings)
-    model = RolloutModel(plant, free)
-    if len(rows.t) < 4 * (plant.n + len(free) + 1):
-        raise ConfigError(
-            f"log: expected at least {4 * (plant.n + len(free) + 1)} samples later than the longest delay, "
-            f"{plant.time_text(longest)}, after the first command, got {len(rows.t)}; record longer, or try shorter "
-            "delays"
-        )
+    names, bounds, free_range = list(plant.parameters), settings.bounds or {}, (-np.inf, np.inf)
+    for name in (*settings.free, *bounds):
+        if name not in names:
+            raise ConfigError(unlisted("free", name, names, f"parameters of plant {plant.name}:"))
+    chosen = [k for k, name in enumerate(names) if name in settings.free or name in bounds]
+    used: list[int] = []  # by f or the outputs; nobody knows of a plant that is called
+    if plant.traced:
+        trace = Trace(plant)
+        x, u, t = trace.symbols()
+        formulas = [*trace.f(x, u, t), *(trace.output(x, t) if plant.declares_output else ())]
+        used = [k for k, symbol in enumerate(trace.parameters) if programs.depends(formulas, [symbol])]
+    assumed = [k for k in used if k not in chosen and plant.p[k] != 0 and settings.model_error > 0]
+    free = [*chosen, *assumed, *(len(names) + j for j in range(plant.m * settings.offset))]  # places in (p, offsets)
+    mean = np.append(plant.p, np.zeros(plant.m))[free]
+    deviation = np.where(np.isin(free, assumed), settings.model_error * np.abs(mean), np.inf)
+    limits = [bounds.get(names[k], free_range) if k < len(names) else free_range for k in free]
+    prior, model = Prior(mean, deviation, np.array(limits).reshape(-1, 2).T), RolloutModel(plant, tuple(free))
+    if len(rows.t) < (enough := 4 * (plant.n + len(free) + 1)):
+        later = f"samples later than the longest delay, {plant.time_text(longest)}, after the first command"
+        got = f"got {len(rows.t)}; record longer, or try shorter delays"
+        raise ConfigError(f"log: expected at least {enough} {later}, {got}")
     least, most = ROWS
     count = int(np.clip(len(rows.t) / PARTS, max(least, 3 * plant.n), most))
     # An error grows by at most GROWTH in a segment, by the eigenvalues of f_X along the log.
-    X = MeasuredOutputs(RolloutModel(plant, ())).states(rows.Y[:: max(1, len(rows.t) // 50)])
+    X = model.measured_states(rows.Y[:: max(1, len(rows.t) // 50)])
     with np.errstate(all="ignore"):
         matrices = plant.jacobians(X, np.broadcast_to(np.median(rows.U, axis=0), (len(X), plant.m)))[0]
     finite = np.isfinite(matrices).all(axis=(1, 2))
@@ -250,28 +251,6 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
     scale = np.where(rough > 0, rough, np.where(wide > 0, 1e-3 * wide, 1.0))
     problem = Problem(model, segments, scale, prior)
     return _fine_enough(problem, np.full(plant.m, longest / 2)), np.full(plant.m, longest)
-
-
-def _prior(plant: Plant, settings: Settings) -> tuple[tuple[int, ...], Prior]:
-    """The places of what is estimated in (p, offsets), and what is known of it."""
-    names, bounds = list(plant.parameters), settings.bounds or {}
-    for name in settings.wanted:
-        if name not in names:
-            raise ConfigError(unlisted("free", name, names, f"parameters of plant {plant.name}:"))
-    free = [k for k, name in enumerate(names) if name in settings.wanted]
-    used: list[int] = []  # by f or the outputs; nobody knows of a plant that is called
-    if plant.traced:
-        trace = Trace(plant)
-        x, u, t = trace.symbols()
-        formulas = [*trace.f(x, u, t), *(trace.output(x, t) if plant.declares_output else ())]
-        used = [k for k, symbol in enumerate(trace.parameters) if programs.depends(formulas, [symbol])]
-    assumed = [k for k in used if k not in free and plant.p[k] != 0 and settings.model_error > 0]
-    offsets = [len(names) + j for j in range(plant.m)] if settings.offset else []
-    places = [*free, *assumed, *offsets]
-    mean = np.append(plant.p, np.zeros(plant.m))[places]
-    deviation = np.where(np.isin(places, assumed), settings.model_error * np.abs(mean), np.inf)
-    limits = [bounds.get(names[k], (-np.inf, np.inf)) if k < len(names) else (-np.inf, np.inf) for k in places]
-    return tuple(places), Prior(mean, deviation, np.array(limits).reshape(-1, 2).T)
 
 
 def _fine_enough(problem: Problem, delays: np.ndarray) -> Problem:

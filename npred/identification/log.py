@@ -38,10 +38,8 @@ class Log:
         commands = whole & last
         samples = np.isfinite(t) & last & np.isfinite(Y).any(axis=1)
         if commands.sum() < 2 or samples.sum() < 2:
-            raise ConfigError(
-                f"log: expected rows with a time, every input and an output, got {int(samples.sum())} samples and "
-                f"{int(commands.sum())} commands; check the columns' names and units"
-            )
+            got = f"{int(samples.sum())} samples and {int(commands.sum())} commands; check the columns' names and units"
+            raise ConfigError(f"log: expected rows with a time, every input and an output, got {got}")
         t_U, U = t[commands], U[commands]
         new = np.append(True, (np.diff(U, axis=0) != 0).any(axis=1))  # a command that repeats the last one says nothing
         return cls(t[samples], Y[samples], t_U[new], U[new])

@@ -154,30 +154,26 @@ class RolloutModel:
                 a = ends[-1] if self.lag else a
             P[row] = np.concatenate([x, a], axis=1).T
 
+    def outputs(self, x: np.ndarray, J: np.ndarray, t: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What is measured of states (..., n): these, or output(x, t, p, M) of the plant; with the derivatives.
 
-@dataclass(frozen=True)
-class MeasuredOutputs:
-    """What is measured: the states, or what the plant declares by output(x, t, p, M)."""
-
-    model: RolloutModel
-
-    def read(self, x: np.ndarray, J: np.ndarray, t: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs (..., q) of states (..., n), and their derivatives (..., q, n + q) from those of the states."""
-        plant = self.model.plant
+        Outputs (..., q), and their derivatives (..., q, n + theta) from those of the states.
+        """
+        plant = self.plant
         if not plant.declares_output:
             return x, J
         q, n, count = len(plant.outputs), plant.n, len(plant.p)
         with np.errstate(all="ignore"):
-            values = self._program(*np.moveaxis(x, -1, 0), t, *p[:count])
+            values = self._measuring(*np.moveaxis(x, -1, 0), t, *p[:count])
         values = np.stack([np.broadcast_to(value, t.shape) for value in values], axis=-1)
         y, by_x = values[..., :q], values[..., q : q + q * n].reshape(*t.shape, n, q).swapaxes(-1, -2)
-        G, theta = by_x @ J, [k for k, place in enumerate(self.model.free) if place < count]
+        G, theta = by_x @ J, [k for k, place in enumerate(self.free) if place < count]
         G[..., [n + k for k in theta]] += values[..., q + q * n :].reshape(*t.shape, -1, q).swapaxes(-1, -2)
         return y, G
 
-    def states(self, Y: np.ndarray) -> np.ndarray:
+    def measured_states(self, Y: np.ndarray) -> np.ndarray:
         """States (..., n) to begin with: what is measured of them, the plant's guess for the rest."""
-        plant, X = self.model.plant, np.tile(self.model.plant.guess, (*Y.shape[:-1], 1))
+        plant, X = self.plant, np.tile(self.plant.guess, (*Y.shape[:-1], 1))
         for k, name in enumerate(plant.outputs):
             if name in plant.states:
                 j = plant.states.index(name)
@@ -185,11 +181,11 @@ class MeasuredOutputs:
         return X
 
     @cached_property
-    def _program(self) -> Any:
+    def _measuring(self) -> Any:
         """The outputs, and their derivatives by the states and by the parameters that are fitted."""
-        trace, plant = Trace(self.model.plant), self.model.plant
+        trace, plant = Trace(self.plant), self.plant
         x, _, t = trace.symbols()
-        y, by = trace.output(x, t), [*x, *(trace.parameters[k] for k in self.model.free if k < len(plant.p))]
+        y, by = trace.output(x, t), [*x, *(trace.parameters[k] for k in self.free if k < len(plant.p))]
         columns = [programs.derivative(y, by, unit) for unit in np.eye(len(by))]
         inputs = [*tape.names("x", plant.n), "t", *tape.names("p", len(plant.p))]
         return python([*y, *(v for column in columns for v in column)], inputs)

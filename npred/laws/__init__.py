@@ -4,8 +4,7 @@ Each is a file and a line of npred.base.registry.LAWS: a function of a plant tha
 """
 
 from npred.laws.law import Law
-from npred.laws.linearisation import feedback_linearisation
-from npred.laws.placement import pole_placement
+from npred.laws.linearisation import feedback_linearisation, pole_placement
 from npred.laws.regulator import lqr
 from npred.laws.universal import sontag
 

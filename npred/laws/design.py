@@ -46,8 +46,12 @@ class Design:
         return ConfigError(f"kappa {self.law}: plant {self.plant.name}: expected {expected}; {cure}")
 
     def values(self, outputs: Vector, X: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Expressions of x, t and the parameters at states X (B, n) and times t (B,): (B, outputs)."""
-        return values(self.plant, outputs, X, np.zeros((len(X), self.plant.m)), t)
+        """Expressions of x, t and the parameters at states X (B, n) and times t (B,), u being 0: (B, outputs)."""
+        n, m, p = self.plant.n, self.plant.m, self.plant.p
+        function = python(outputs, [*names("x", n), *names("u", m), "t", *names("p", len(p))])
+        with np.errstate(all="ignore"):
+            columns = function(*X.T, *np.zeros((m, len(X))), t, *p)
+        return np.stack([np.broadcast_to(column, t.shape) for column in columns], axis=-1).astype(float)
 
     @cached_property
     def rest(self) -> tuple[np.ndarray, np.ndarray]:
@@ -171,8 +175,8 @@ class Design:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """The times at which a reference is looked at; 0 for a point of rest."""
-        return moments(self.plant) if self.follows else np.zeros(1)
+        """Times of a period of a reference, or of SPAN seconds, (MOMENTS,); 0 for a point of rest."""
+        return np.linspace(0.0, self.plant.period or SPAN, MOMENTS, endpoint=False) if self.follows else np.zeros(1)
 
     @cached_property
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
@@ -218,8 +222,21 @@ class Design:
     @cached_property
     def widths(self) -> np.ndarray:
         """Half the box, (n,), where that has a width, else 1."""
-        width = np.ptp(ends(self.plant), axis=1) / 2
+        width = np.ptp(self.box, axis=1) / 2
         return np.where(width > 0, width, 1.0)
+
+    @cached_property
+    def box(self) -> np.ndarray:
+        """The plant's box (n, 2); where it has no range for a state, 1 around `guess`."""
+        plant = self.plant
+        pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
+        return np.array(pairs, dtype=float)
+
+    @cached_property
+    def samples(self) -> np.ndarray:
+        """States of the box, (SAMPLES, n)."""
+        low, high = self.box.T
+        return randomness.generator(0, "laws").uniform(low, high, (SAMPLES, self.plant.n))
 
     @cached_property
     def sizes(self) -> np.ndarray:
@@ -240,31 +257,6 @@ class Design:
     def limits(self) -> np.ndarray:
         """The plant's input bounds, (m, 2)."""
         return inputs.bounds(self.plant, None)
-
-
-def ends(plant: Plant) -> np.ndarray:
-    """The box (n, 2); where it has no range for a state, 1 around `guess`."""
-    pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
-    return np.array(pairs, dtype=float)
-
-
-def samples(plant: Plant) -> np.ndarray:
-    """States of the box, (SAMPLES, n)."""
-    low, high = ends(plant).T
-    return randomness.generator(0, "laws").uniform(low, high, (SAMPLES, plant.n))
-
-
-def moments(plant: Plant) -> np.ndarray:
-    """Times of a period, or of SPAN seconds, (MOMENTS,)."""
-    return np.linspace(0.0, plant.period or SPAN, MOMENTS, endpoint=False)
-
-
-def values(plant: Plant, outputs: Vector, X: np.ndarray, u: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Expressions of x, u, t and the parameters at X (B, n), u (B, m) and times t (B,): (B, outputs)."""
-    function = python(outputs, [*names("x", plant.n), *names("u", plant.m), "t", *names("p", len(plant.p))])
-    with np.errstate(all="ignore"):
-        columns = function(*X.T, *u.T, t, *plant.p)
-    return np.stack([np.broadcast_to(column, t.shape) for column in columns], axis=-1).astype(float)
 
 
 def acts(forces: np.ndarray, drift: np.ndarray) -> bool:

@@ -1,4 +1,7 @@
-"""Feedback linearisation: outputs whose derivatives the inputs set, decided on the tape by Lie derivatives."""
+"""Laws with given poles: of the linearisation, and of outputs by feedback linearisation.
+
+The outputs are those whose derivatives the inputs set, which Lie derivatives decide on the tape.
+"""
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
@@ -6,17 +9,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.formulas import Value, programs
 from npred.formulas.declared import record
 from npred.formulas.tape import M, Vector
-from npred.laws import placement
-from npred.laws.design import ZERO, Design, acts, samples, solved
+from npred.laws.design import ZERO, Design, acts, solved
 from npred.laws.law import Law, rounded, written
-from npred.laws.regulator import gains
+from npred.laws.regulator import along, gains
 from npred.plants.base import Plant
 
 REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
+TRIES = 20  # random choices of the free parameters of several inputs, of which the best conditioned is taken
+ACCURATE = 1e-4  # of a coefficient of the polynomial of the poles, whose scale is 1 + the largest of them
 MOST = 5000  # combinations of states that are tried as outputs
 
 OutputMap = Callable[[Vector, Value], Value]  # of the components of x, and t
@@ -29,6 +34,77 @@ class Chain(NamedTuple):
     derivatives: list[Value]
     last: Value
     row: list[Value]
+
+
+def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
+    """kappa = u - K (x - X) such that A - B K has these n poles, complex ones in pairs.
+
+    K = G inv(Z) with A Z - Z L = B G, L of the poles (Bhattacharyya and de Souza, Systems & Control Letters 1, 1982,
+    261-263): one input has one K, of several the G that gives the best conditioned Z of a few.
+
+    Parameters
+    ----------
+    plant : Plant
+        From npred.plant.
+    poles : n complex numbers, 1/s
+        Poles of the loop without delay.
+
+    Returns
+    -------
+    Law
+        A law kappa(x, t, p, M) by the text of its definition, which can be pasted into a plant's class.
+
+    Raises
+    ------
+    ConfigError
+        For another number of poles, for one that is not stable, and where they cannot be placed.
+    """
+    design = Design(plant, "pole_placement")
+    values = _checked(design, poles, plant.n)
+    # L is a real matrix with these eigenvalues, equal ones in one chain.
+    upper = sorted((pole for pole in values if pole.imag >= 0), key=lambda pole: (np.real(pole), np.imag(pole)))
+    L, at, before = np.zeros((plant.n, plant.n)), 0, None
+    for pole in upper:
+        size = 2 if pole.imag else 1
+        here = slice(at, at + size)
+        L[here, here] = [[pole.real, pole.imag], [-pole.imag, pole.real]] if pole.imag else pole.real
+        if pole == before:
+            L[at - size : at, here] = np.eye(size)
+        at, before = at + size, pole
+    A, B = design.linearised
+    draws = randomness.generator(0, "pole placement")
+    best, K = np.inf, np.zeros((plant.m, plant.n))
+    for _ in range(TRIES):
+        # A first feedback moves the plant's own poles off those asked for, where the equation has no solution.
+        first = draws.standard_normal(K.shape) * np.linalg.norm(A, 2) / np.linalg.norm(B, 2)
+        moved, G = A - B @ first, draws.standard_normal(K.shape)
+        eye = np.eye(plant.n)
+        left = np.kron(moved, eye) - np.kron(eye, L.T)
+        try:
+            Z = np.linalg.solve(left, (B @ G).ravel()).reshape(A.shape)
+            if np.linalg.cond(Z) < best:
+                best, K = np.linalg.cond(Z), first + np.linalg.solve(Z.T, G.T).T
+        except np.linalg.LinAlgError:
+            continue
+    # The polynomials are compared, for equal roots split by rounding.
+    expected, actual = np.real(np.poly(values)), np.real(np.poly(A - B @ K))
+    error = (np.abs(actual - expected) / (1 + np.abs(values).max()) ** np.arange(len(expected))).max()
+    if not error <= ACCURATE:
+        raise design.refusal("a linearisation whose poles the inputs move, got another", "take lqr")
+    return along(design, K)
+
+
+def _checked(design: Design, poles: Sequence[complex], count: int) -> np.ndarray:
+    """The poles, (count,). Raises ConfigError for other numbers of them, without their conjugates, or not stable."""
+    try:
+        values = np.array(poles, dtype=complex).ravel()
+    except (TypeError, ValueError):
+        raise design.refusal(f"{count} poles, got {poles!r}", "write a list of numbers") from None
+    paired = np.allclose(np.sort_complex(values), np.sort_complex(values.conj()))
+    if len(values) != count or not paired or not (np.isfinite(values).all() and (np.real(values) < 0).all()):
+        expected = f"{count} poles with negative real parts, complex ones in pairs, got {poles}"
+        raise design.refusal(expected, "write as many")
+    return values
 
 
 def feedback_linearisation(plant: Plant, poles: Sequence[complex] | None = None, output: Output | None = None) -> Law:
@@ -112,7 +188,7 @@ def _chain(design: Design, output: OutputMap) -> Chain | None:
 
 def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
     """States of the box, and those that the law leads to, with times."""
-    X, moments = samples(design.plant), design.moments
+    X, moments = design.samples, design.moments
     times = np.concatenate([np.resize(moments, len(X)), moments])
     return np.concatenate([X, design.targets[0]]), times
 
@@ -120,13 +196,23 @@ def _places(design: Design) -> tuple[np.ndarray, np.ndarray]:
 def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] | None) -> Law:
     plant = design.plant
     chains = [chain for output in outputs if (chain := _chain(design, output))]
-    _check_degree(design, chains)
+    m, cure = plant.m, "pass another output, or take lqr"
+    if len(chains) < m:
+        raise design.refusal("outputs on which the inputs act, got one that none moves", cure)
+    rows = design.values([b for chain in chains for b in chain.row], *_places(design)).reshape(-1, m, m) * design.sizes
+    size = np.linalg.norm(rows, axis=-1, keepdims=True).max(axis=0)
+    determinant = np.linalg.det(np.nan_to_num(rows / np.where(size > 0, size, 1.0)))
+    smallest = (determinant * np.sign(determinant[np.abs(determinant).argmax()])).min()
+    if not smallest > REGULAR * np.abs(determinant).max():  # the inputs do not set the highest derivatives there
+        expected = "outputs with a relative degree on the box, got a decoupling matrix that is singular"
+        raise design.refusal(expected, cure)
     degrees = [len(chain.derivatives) for chain in chains]
     if poles is None:
         A, B = design.linearised
-        values = placement.default(A - B @ gains(design)[1], sum(degrees))
+        rates = np.abs(np.linalg.eigvals(A - B @ gains(design)[1]))
+        values = np.full(sum(degrees), -float(f"{np.exp(np.log(rates).mean()):.3g}"))
     else:
-        values = placement.checked(design, poles, sum(degrees))
+        values = _checked(design, poles, sum(degrees))
     right = []
     for chain, output, own_poles in zip(chains, outputs, np.split(values, np.cumsum(degrees)[:-1]), strict=True):
         if not np.allclose(np.poly(own_poles).imag, 0):
@@ -137,10 +223,16 @@ def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] 
         for k, y, goal in zip(coefficients, chain.derivatives, goals, strict=True):
             pull = pull - k * (y - goal)
         right.append(pull)
-    rows = np.array([chain.row for chain in chains], dtype=object)
-    law = written(design.trace, design.guess, [right[0] / rows[0, 0]] if plant.m == 1 else solved(rows, right))
-    if sum(degrees) < plant.n:
-        _check_rest(design, law)
+    by_input = np.array([chain.row for chain in chains], dtype=object)
+    commands = [right[0] / by_input[0, 0]] if m == 1 else solved(by_input, right)
+    law = written(design.trace, design.guess, commands)
+    if sum(degrees) < plant.n:  # the outputs leave a rest, the zero dynamics
+        (X, _), closed = design.targets, plant.controlled(law)
+        f_X, f_U = plant.jacobians(X, closed.kappa(X, design.moments), design.moments)
+        A = (f_X + f_U @ closed.kappa_jacobian(X, design.moments)).mean(axis=0)
+        slowest = np.linalg.eigvals(A).real.max()
+        if not slowest < -ZERO * np.linalg.norm(A, 2):
+            raise design.refusal(f"outputs that leave a stable rest, got one with the rate {slowest:.3g}", cure)
     return law
 
 
@@ -155,31 +247,3 @@ def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
     for _ in range(degree):
         goals += programs.derivative(goals[-1:], [design.t], [1.0])
     return goals
-
-
-def _check_degree(design: Design, chains: list[Chain]) -> None:
-    """Raise ConfigError unless the inputs set the highest derivatives everywhere on the box."""
-    m, cure = design.plant.m, "pass another output, or take lqr"
-    if len(chains) < m:
-        raise design.refusal("outputs on which the inputs act, got one that none moves", cure)
-    rows = design.values([b for chain in chains for b in chain.row], *_places(design)).reshape(-1, m, m)
-    rows = rows * design.sizes
-    size = np.linalg.norm(rows, axis=-1, keepdims=True).max(axis=0)
-    determinant = np.linalg.det(np.nan_to_num(rows / np.where(size > 0, size, 1.0)))
-    smallest = (determinant * np.sign(determinant[np.abs(determinant).argmax()])).min()
-    if not smallest > REGULAR * np.abs(determinant).max():
-        expected = "outputs with a relative degree on the box, got a decoupling matrix that is singular"
-        raise design.refusal(expected, cure)
-
-
-def _check_rest(design: Design, law: Law) -> None:
-    """Raise ConfigError unless what the outputs leave, the zero dynamics, is stable where the law leads."""
-    X, _ = design.targets
-    closed = design.plant.controlled(law)
-    u = closed.kappa(X, design.moments)
-    f_X, f_U = design.plant.jacobians(X, u, design.moments)
-    A = (f_X + f_U @ closed.kappa_jacobian(X, design.moments)).mean(axis=0)
-    slowest = np.linalg.eigvals(A).real.max()
-    if not slowest < -ZERO * np.linalg.norm(A, 2):
-        expected = f"outputs that leave a stable rest, got one with the rate {slowest:.3g}"
-        raise design.refusal(expected, "pass another output, or take lqr")

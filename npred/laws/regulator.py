@@ -121,7 +121,15 @@ def riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple
     By the sign of the Hamiltonian matrix (Roberts 1971), with one step of Kleinman's iteration to clear its rounding.
     Raises ConfigError where an unstable rate is not moved by the inputs, or one on the axis has no weight in Q.
     """
-    _check_stabilisable(A, B)
+    scale = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
+    direction = B / max(float(np.linalg.norm(B, 2)), np.finfo(float).tiny)
+    for rate in np.linalg.eigvals(A):  # do the inputs move those whose real part is not negative (Hautus)?
+        pencil = np.hstack([(A - rate * np.eye(len(A))) / scale, direction])
+        singular = np.linalg.svd(pencil, compute_uv=False)
+        if rate.real >= -SAME * scale and singular[-1] <= SAME * singular[0]:
+            shown = f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "")
+            got = f"got the rate {shown}, which they do not move; write kappa(x, t, p, M)"
+            raise ConfigError(f"expected a linearisation that its inputs stabilise, {got}")
     n, G = len(A), B @ np.linalg.solve(R, B.T)
     Z = np.block([[A, -G], [-Q, -A.T]])
     try:
@@ -143,18 +151,3 @@ def riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple
     if not np.isfinite(S).all() or np.linalg.eigvals(A - B @ K).real.max() >= 0:
         raise ConfigError("lqr: expected weights Q that see every rate on the imaginary axis, got others; weigh more")
     return S, K
-
-
-def _check_stabilisable(A: np.ndarray, B: np.ndarray) -> None:
-    """Raise ConfigError where the inputs do not move an eigenvalue of A whose real part is not negative (Hautus)."""
-    scale = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
-    direction = B / max(float(np.linalg.norm(B, 2)), np.finfo(float).tiny)
-    for rate in np.linalg.eigvals(A):
-        pencil = np.hstack([(A - rate * np.eye(len(A))) / scale, direction])
-        singular = np.linalg.svd(pencil, compute_uv=False)
-        if rate.real >= -SAME * scale and singular[-1] <= SAME * singular[0]:
-            shown = f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "")
-            raise ConfigError(
-                f"expected a linearisation that its inputs stabilise, got the rate {shown}, which they do not move; "
-                "write kappa(x, t, p, M)"
-            )

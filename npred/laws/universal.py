@@ -9,7 +9,7 @@ from npred.formulas import Value, programs
 from npred.formulas.declared import record
 from npred.formulas.tape import M, names
 from npred.formulas.trace import python
-from npred.laws.design import SAMPLES, Design, samples
+from npred.laws.design import SAMPLES, Design
 from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import gains
 from npred.plants.base import Plant
@@ -54,8 +54,20 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     effect: Value = 0.0
     for b, weight in zip(row, weights, strict=True):
         effect = effect + weight * (b * b)
-    g = _gain(design, value, weights)
-    usual = np.hypot(*design.values([rate, effect], samples(plant), np.zeros(SAMPLES)).T)
+    slopes = [programs.derivative([value], design.x, unit)[0] for unit in np.eye(plant.n)]
+    curvature = [y for unit in np.eye(plant.n) for y in programs.derivative(slopes, design.x, unit)]
+    function = python(curvature, [*names("x", plant.n), "t", *names("p", len(plant.p))])
+    H = np.array(function(*design.targets[0][0], 0.0, *plant.p), dtype=float).reshape(plant.n, plant.n) / 2
+    A, B = design.linearised
+    # the least g = 1/2, 1, 2, … with which V falls along the linear law near rest
+    for g in (0.5 * 2.0 ** np.arange(DOUBLINGS)).tolist() if np.linalg.eigvalsh(H).min() > 0 else []:
+        fall = H @ A + A.T @ H - 4 * g * (H @ B * weights) @ (B.T @ H)
+        if np.linalg.eigvalsh(fall).max() < 0:
+            break
+    else:
+        expected = "a V that some input makes fall near rest, got another"
+        raise design.refusal(expected, f'pass V = "{LQR}", or another V')
+    usual = np.hypot(*design.values([rate, effect], design.samples, np.zeros(SAMPLES)).T)
     small = float(f"{SMOOTH * np.nanmedian(usual):.1g}")
     size = M.sqrt(rate * rate + effect * effect + small**2)
     # where a < 0 the sum a + size cancels, and is written as the quotient that it equals
@@ -82,20 +94,3 @@ def _value(design: Design, V: Callable[..., Any] | str | None) -> Value:
         for j in range(i + 1):
             total = total + (1 if i == j else 2) * row[j] * (errors[i] * errors[j])
     return total
-
-
-def _gain(design: Design, value: Value, weights: np.ndarray) -> float:
-    """The least g = 1/2, 1, 2, … with which V falls along the linear law near rest."""
-    plant, x = design.plant, design.x
-    slopes = [programs.derivative([value], x, unit)[0] for unit in np.eye(plant.n)]
-    curvature = [y for unit in np.eye(plant.n) for y in programs.derivative(slopes, x, unit)]
-    function = python(curvature, [*names("x", plant.n), "t", *names("p", len(plant.p))])
-    X = design.targets[0][0]
-    H = np.array(function(*X, 0.0, *plant.p), dtype=float).reshape(plant.n, plant.n) / 2
-    A, B = design.linearised
-    if np.linalg.eigvalsh(H).min() > 0:
-        for g in 0.5 * 2.0 ** np.arange(DOUBLINGS):
-            fall = H @ A + A.T @ H - 4 * g * (H @ B * weights) @ (B.T @ H)
-            if np.linalg.eigvalsh(fall).max() < 0:
-                return float(g)
-    raise design.refusal("a V that some input makes fall near rest, got another", f'pass V = "{LQR}", or another V')

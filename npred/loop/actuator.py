@@ -10,14 +10,6 @@ import numpy as np
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.inputs import Past
 
-ROUNDING = 1e-9  # in control steps: positions this close to a step's start are on it
-SNAP = 1e-6  # in control steps: times this close to a regular clock's are on it
-
-
-def snapped(steps: np.ndarray | float) -> np.ndarray:
-    """Numbers of control steps, whole where they are nearly."""
-    return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
-
 
 def _kernel(name: str, arguments: str, which: int) -> Kernel:
     return made(name, arguments, skeleton("history.h"), {}, {"WHICH": which}, before=[skeleton("actuator.h")])

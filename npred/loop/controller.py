@@ -13,11 +13,12 @@ from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
 from npred.estimation.delay_law import DelayLaw, Part, part
 from npred.loop import engine, loop_checks, signals
-from npred.loop.actuator import ROUNDING, SNAP, history, snapped
+from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
 from npred.loop.loop import REALITY, ControllerParts, Loop
 from npred.loop.status import Status
+from npred.loop.timing import ROUNDING, SNAP, snapped
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of

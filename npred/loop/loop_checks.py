@@ -9,11 +9,10 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer
-from npred.loop.actuator import ROUNDING
 from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
-from npred.loop.timing import Timing
+from npred.loop.timing import ROUNDING, Timing
 from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of

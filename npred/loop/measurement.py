@@ -8,14 +8,15 @@ the state: they depend neither on the batch nor on the order of evaluation.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.loop.actuator import acting
-from npred.plants.base import Plant
+
+if TYPE_CHECKING:  # reading a pipeline has no use for what compiles
+    from npred.plants.base import Plant
 
 PER_STATE = ("noise", "absolute", "bias", "resolution")  # one number, or one for each state
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
@@ -84,7 +85,7 @@ class Sensors:
         perturbed = any(np.any(getattr(self, name)) for name in PER_STATE)
         return not perturbed and self.period is None and not (self.delay or self.drop)
 
-    def check(self, plant: Plant, outputs: int | None = None) -> None:
+    def check(self, plant: "Plant", outputs: int | None = None) -> None:
         """Raise ConfigError where there is not a number for each state of the plant, or for each of its outputs."""
         count, what = (plant.n, "state") if outputs is None else (outputs, "output")
         for name in PER_STATE:
@@ -138,6 +139,7 @@ def observed(observer: Observer) -> Callable[..., None]:
     """family.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError where it returns another
     shape.
     """
+    from npred.loop.actuator import acting
 
     def step(k: int, origin: int, dt: float, D_seen: Any, held: Any, Y: Any, X_hat: Any) -> None:
         acting(origin + max(k - 1, 0), dt, D_seen, held, U := np.empty_like(D_seen))

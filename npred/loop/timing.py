@@ -8,9 +8,10 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.loop.actuator import ROUNDING, snapped
 from npred.loop.measurement import Measurement, share, whole
 
+ROUNDING = 1e-9  # in control steps: positions this close to a step's start are on it
+SNAP = 1e-6  # in control steps: times this close to a regular clock's are on it
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
 GAP, DROP, CALL, OVERRUN, LOST = 2, 3, 5, 6, 7
 FIRST = np.uint64(0x9E3779B97F4A7C15)
@@ -106,6 +107,11 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     sample[called[new]] = newest[new]
     age[called[new]] = np.maximum(snapped(at[called[new]] - taken[newest[new]]), 0.0)
     return Schedule(at, gap, skipped, lost, sample, age, taken, number)
+
+
+def snapped(steps: np.ndarray | float) -> np.ndarray:
+    """Numbers of control steps, whole where they are nearly."""
+    return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
 
 
 def uniform(seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:

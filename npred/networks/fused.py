@@ -117,7 +117,7 @@ def lowering(operator: TrainedOperator) -> str:
 
 
 def require(operator: TrainedOperator, what: str, cure: str, name: str = "") -> None:
-    """Raise ConfigError, after `what` wants it, unless the operator's network can be lowered; `name`: its own."""
+    """Raise ConfigError, after `what` needs it, unless the operator's network can be lowered; `name`: its own."""
     if not lowering(operator):
         names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.lowering)
         name = name or operator.architecture

@@ -15,6 +15,7 @@ from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
 
 Kappa = Callable[..., Any] | str | Mapping[str, Any]  # a law, its name, or its name with what it takes
+Values = tuple[tuple[str, float], ...]  # parameters, each with its name
 
 
 def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
@@ -43,29 +44,29 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
 
 
 def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
-    """The plant of a built-in or installed name, of `file.py:Class` or of a class, with parameters overridden.
+    """The plant as `plant` makes it, its parameters in a table.
 
-    `kappa` is a law in place of the declared one: a function kappa(x, t, p, M), the name of a law that is designed
-    from f, as "lqr", or a table of such a name and what it takes: {"law": "pole_placement", "poles": [-1, -2]}.
-    Raises ConfigError, in one line, for an unknown name, a missing or broken file, or an unknown parameter.
+    `kappa` may also be a table of a law's name and its arguments, {"law": "pole_placement", "poles": [-1, -2]}.
     """
+    spec = source = None  # a class of a script has neither
     if isinstance(name, type):
-        return controlled(make(name.__name__, name, parameters), kappa)
-    if not isinstance(name, str):
+        kind, declaration = name.__name__, name
+    elif not isinstance(name, str):
         raise ConfigError(f"plant: expected a name, my_plant.py:Tank or a class, got {name!r}; give one")
-    if registry.in_file(name):
+    elif registry.in_file(name):
         (path, kind), (declaration, source) = registry.split(name), registry.load("plant", name)
-        plant = make(kind, declaration, parameters, source)
-        plant.spec = f"{path.absolute()}:{kind}"
-        return controlled(plant, kappa)
-    if name.endswith(".py"):
+        spec = f"{path.absolute()}:{kind}"
+    elif name.endswith(".py"):
         raise ConfigError(f"plant {name}: expected the class too, got the file alone; write {name}:Tank, say")
-    declaration = _builtin().get(name) or registry.PLANTS.installed(name)
-    if declaration is None:
-        near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
-        raise ConfigError(f"plant {name!r}: expected one of {', '.join(names())}, or a file as my_plant.py:Tank{near}")
-    plant = make(name, declaration, parameters)
-    plant.spec = name
+    else:
+        kind = spec = name
+        declaration = _builtin().get(name) or registry.PLANTS.installed(name)
+        if declaration is None:
+            near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
+            any_of = f"one of {', '.join(names())}, or a file as my_plant.py:Tank"
+            raise ConfigError(f"plant {name!r}: expected {any_of}{near}")
+    plant = make(kind, declaration, parameters, source)
+    plant.spec = spec
     return controlled(plant, kappa)
 
 
@@ -92,15 +93,13 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
 
 
 @lru_cache(maxsize=16)
-def varied(plant: Plant, parameters: tuple[tuple[str, float], ...]) -> Plant:
+def varied(plant: Plant, parameters: Values) -> Plant:
     """The plant with some of its parameters changed. Raises ConfigError for one that it does not have."""
     return type(plant)(plant.name, plant.declared, plant.parameters | dict(parameters), plant.source, plant.law)
 
 
 @lru_cache(maxsize=128)
-def restored(
-    spec: str, parameters: tuple[tuple[str, float], ...], digest: str | None, kappa: Callable[..., Any] | None
-) -> Plant:
+def restored(spec: str, parameters: Values, digest: str | None, kappa: Callable[..., Any] | None) -> Plant:
     """The plant that was pickled by its name, one per process, for it keeps what is compiled.
 
     Raises ConfigError where it is not there, or its file has changed since.
@@ -113,9 +112,8 @@ def restored(
 
 @lru_cache(maxsize=128)
 def remade(
-    kind: type[Plant], name: str, declaration: type, parameters: tuple[tuple[str, float], ...],
-    kappa: Callable[..., Any] | None,
-) -> Plant:  # fmt: skip
+    kind: type[Plant], name: str, declaration: type, parameters: Values, kappa: Callable[..., Any] | None
+) -> Plant:
     """The plant that was pickled with its class, which Python could import; one per process."""
     return kind(name, declaration, dict(parameters), kappa=kappa)
 

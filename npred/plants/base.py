@@ -43,7 +43,6 @@ class Plant(InNotebook):
         self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None,
         kappa: Callable[..., Any] | None = None,
     ):  # fmt: skip
-        declared.check_name(name)
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(name, declaration, kappa)
         self.declared, self.law = declaration, kappa  # what the author wrote, and the law in place of theirs
@@ -199,16 +198,25 @@ class Plant(InNotebook):
         Raises ConfigError where it finds none, or where the plant depends on time: that one tracks, see `rests`.
         """
         if not self.rests:
-            raise ConfigError(
-                f"plant {self.name}: expected an equilibrium, but f or kappa depends on time; it only tracks"
-            )
-        X, residual, converged = _root(self._at_rest, self.guess)
-        if not converged:
-            left = source_lines.values([f"{name}'" for name in self.states], residual)
-            raise ConfigError(
-                f"{self.location('kappa')} leads to no equilibrium near guess = {self.guess.tolist()}: {left} is left; "
-                "let kappa hold a point where f vanishes, or give a `guess` closer to one"
-            )
+            got = "f or kappa depends on time; it only tracks"
+            raise ConfigError(f"plant {self.name}: expected an equilibrium, but {got}")
+        X = self.guess.copy()
+        g, J = self._at_rest(X)
+        for _ in range(100):
+            if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
+                break
+            step, scale = np.linalg.solve(J, g), 1.0  # which is halved while the residual grows
+            while scale > 1e-8 and not np.linalg.norm(self._at_rest(X - scale * step)[0]) <= np.linalg.norm(g):
+                scale /= 2
+            if scale <= 1e-8 or np.array_equal(X - scale * step, X):
+                break
+            X = X - scale * step
+            g, J = self._at_rest(X)
+        if not np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))):
+            left = source_lines.values([f"{name}'" for name in self.states], g)
+            near = f"no equilibrium near guess = {self.guess.tolist()}: {left} is left"
+            cure = "let kappa hold a point where f vanishes, or give a `guess` closer to one"
+            raise ConfigError(f"{self.location('kappa')} leads to {near}; {cure}")
         return X
 
     @cached_property
@@ -224,9 +232,8 @@ class Plant(InNotebook):
         if self.rests:
             return self.equilibrium
         if not self.tracks:
-            raise ConfigError(
-                f"plant {self.name}: expected an equilibrium or a reference, found neither; declare reference(t, p, M)"
-            )
+            neither = "expected an equilibrium or a reference, found neither; declare reference(t, p, M)"
+            raise ConfigError(f"plant {self.name}: {neither}")
         return self._reference(np.asarray(t, dtype=float))
 
     def _reference(self, t: np.ndarray) -> np.ndarray:
@@ -249,10 +256,8 @@ class Plant(InNotebook):
         expected = np.linalg.solve(inertia, np.array(pull).T[..., None])[..., 0]
         difference = np.abs(self.f(X, u)[:, at.rates] - expected).max()
         if not difference <= 1e-6 * (1.0 + np.abs(expected).max()):
-            raise ConfigError(
-                f"{self.location('mechanics')} expected the accelerations of f, got a difference of {difference:.3g}; "
-                "make force and damping those of f"
-            )
+            got = f"got a difference of {difference:.3g}; make force and damping those of f"
+            raise ConfigError(f"{self.location('mechanics')} expected the accelerations of f, {got}")
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """f_X (..., n, n) and f_U (..., n, m) at points X (..., n), u (..., m), derived from the declared f."""
@@ -341,10 +346,9 @@ class Plant(InNotebook):
         if not self.phased:
             return None
         if self.period is None:
-            raise ConfigError(
-                f"plant {self.name}: expected a period, for its prediction depends on time and a network sees X, u, "
-                "D_hat and a phase; declare period, the time after which they repeat, or simulate it"
-            )
+            why = "its prediction depends on time and a network sees X, u, D_hat and a phase"
+            cure = "declare period, the time after which they repeat, or simulate it"
+            raise ConfigError(f"plant {self.name}: expected a period, for {why}; {cure}")
         return np.asarray(t, dtype=float) / self.period % 1
 
     @cached_property
@@ -365,10 +369,8 @@ class Plant(InNotebook):
         """True if the plant declares a reference. Raises ConfigError where f and kappa know no time to follow it."""
         has_reference = getattr(self.declaration, "reference", None) is not None
         if has_reference and self.rests:
-            raise ConfigError(
-                f"{self.location('reference')} expected a kappa that depends on t, got one that rests; let it follow "
-                "that, or drop reference"
-            )
+            got = "got one that rests; let it follow that, or drop reference"
+            raise ConfigError(f"{self.location('reference')} expected a kappa that depends on t, {got}")
         return has_reference
 
     def _timed(self, name: str) -> bool:
@@ -394,28 +396,6 @@ class Plant(InNotebook):
             inputs = {"f": (x, u, t), "reference": (t,)}.get(name, (x, t))
             outputs = [*np.ravel(np.array(getattr(trace, name)(*inputs), dtype=object))]
         return "\n".join(programs.lines(outputs, {}, names("y", len(outputs))))
-
-
-def _root(
-    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], guess: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """X by Newton's method, the residual there, and whether it is a root; `residual` gives value and Jacobian.
-
-    The step is halved while the residual grows; ends when a step no longer changes X.
-    """
-    X = guess.copy()
-    g, J = residual(X)
-    for _ in range(100):
-        if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
-            break
-        step, scale = np.linalg.solve(J, g), 1.0
-        while scale > 1e-8 and not np.linalg.norm(residual(X - scale * step)[0]) <= np.linalg.norm(g):
-            scale /= 2
-        if scale <= 1e-8 or np.array_equal(X - scale * step, X):
-            break
-        X = X - scale * step
-        g, J = residual(X)
-    return X, g, bool(np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))))
 
 
 def require(plant: object) -> None:

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from npred.base import json_files, registry
 from npred.base.errors import ConfigError
-from npred.base.registry import Source
 from npred.formulas import Array, Value
 from npred.formulas.declared import RETURNS, Components, failure, parameters
 from npred.formulas.tape import Functions
@@ -40,11 +39,8 @@ class BlackBox(Plant):
 
     traced: ClassVar[bool] = False
 
-    def __init__(
-        self, name: str, declaration: Any, overrides: Mapping[str, float] = {}, source: Source | None = None,
-        kappa: Callable[..., Any] | None = None,
-    ):  # fmt: skip
-        super().__init__(name, declaration, overrides, source, kappa)
+    def __init__(self, name: str, *parts: Any, **named_parts: Any):
+        super().__init__(name, *parts, **named_parts)
         if self.source is None:
             raise ConfigError(f"plant {name}: traced = False expected a class in a file, as tank.py:Tank; write one")
         if not self.one_delay:

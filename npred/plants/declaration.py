@@ -114,14 +114,11 @@ class Declaration(BaseModel, frozen=True):
         for part, names in {"guess": self.states, "input_bounds": self.inputs, "delays": self.inputs}.items():
             values = getattr(self, part)
             if values is not None and len(values) != len(names):
-                raise ValueError(
-                    f"{part}: expected one for each of {', '.join(names)}, got {values}; give {len(names)}"
-                )
+                each = f"one for each of {', '.join(names)}"
+                raise ValueError(f"{part}: expected {each}, got {values}; give {len(names)}")
         if self.delay and {"u", "U"} & set(inspect.signature(self.delay).parameters):
-            came = f"got delay{inspect.signature(self.delay)}"
-            raise ValueError(
-                f"delay: a delay that depends on the input is not supported, {came}; write delay(x, t, p, M)"
-            )
+            refused = f"a delay that depends on the input is not supported, got delay{inspect.signature(self.delay)}"
+            raise ValueError(f"delay: {refused}; write delay(x, t, p, M)")
         if self.outputs and not self.output:
             cure = "write it, or drop outputs"
             raise ValueError(f"outputs: expected output(x, t, p, M), which gives them, got none; {cure}")
@@ -134,16 +131,14 @@ class Declaration(BaseModel, frozen=True):
         return self
 
 
-def check_name(plant: object) -> None:
-    """Raise ConfigError for a name of a plant that could be more than a name where it is written, in C say."""
-    if not isinstance(plant, str) or not NAME.fullmatch(plant):
-        raise ConfigError(
-            f"plant: expected a name of letters, digits, spaces and . , _ -, got {plant!r}; choose another"
-        )
-
-
 def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declaration:
-    """The parts of the class, its parameters overridden. Raises ConfigError for what is missing, unknown or wrong."""
+    """The parts of the class, its parameters overridden. Raises ConfigError for what is missing, unknown or wrong.
+
+    That is also a name of the plant that could be more than a name where it is written, in C say.
+    """
+    if not isinstance(plant, str) or not NAME.fullmatch(plant):
+        letters = "a name of letters, digits, spaces and . , _ -"
+        raise ConfigError(f"plant: expected {letters}, got {plant!r}; choose another")
     parts = {name: getattr(declaration, name) for name in Declaration.model_fields if hasattr(declaration, name)}
     defaults = parts.get("parameters", {})
     for key in overrides if isinstance(defaults, Mapping) else ():
@@ -182,10 +177,6 @@ def completed(plant: str, declaration: Any, kappa: Function | None = None) -> An
 
         parts["kappa"] = absent
     if getattr(declaration, "V", None) is None:
-        parts["V"] = _zero
+        parts["V"] = lambda x, t, p, M=None: np.zeros(len(x)) if M is None else 0.0  # on rows, or on components
     functions = {name: staticmethod(function) for name, function in parts.items()}
     return type(declaration.__name__, (declaration,), functions) if functions else declaration
-
-
-def _zero(x: Any, t: Any, p: Any, M: Any = None) -> Any:
-    return np.zeros(len(x)) if M is None else 0.0

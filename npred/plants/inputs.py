@@ -92,16 +92,12 @@ class Past:
         """The function's input at t. Raises ConfigError for another shape, or a value outside the limits."""
         assert callable(self.course) and self.limits is not None
         value = array_checks.floats(f"u0({t:g})", self.course(t))
-        m = len(self.limits)
+        m, got, expected = len(self.limits), f"got {value.tolist()}", f"u0({t:g}): expected"
         if not array_checks.fits(value.shape, (m,)) or not np.isfinite(value).all():
-            raise ConfigError(
-                f"u0({t:g}): expected {m} finite numbers, one per input, got {value.tolist()}; return them"
-            )
+            raise ConfigError(f"{expected} {m} finite numbers, one per input, {got}; return them")
         value = np.broadcast_to(value, (m,))
         if not _inside(value, self.limits):
-            raise ConfigError(
-                f"u0({t:g}): expected within input_bounds {self.limits.tolist()}, got {value.tolist()}; stay"
-            )
+            raise ConfigError(f"{expected} within input_bounds {self.limits.tolist()}, {got}; stay")
         return value
 
 
@@ -206,10 +202,8 @@ def _at_rest(plant: Plant, limits: np.ndarray) -> np.ndarray:
 def _accepted(plant: Plant, u: np.ndarray, limits: np.ndarray, which: str) -> np.ndarray:
     """u (m,), rounding errors beyond the limits removed."""
     if not _inside(u, limits):
-        values, pairs = source_lines.values(plant.inputs, u), limits.tolist()
-        raise ConfigError(
-            f"u0: expected within input_bounds {pairs}, got {which}{values}; give u0, the input at t < 0, within"
-        )
+        got = f"{which}{source_lines.values(plant.inputs, u)}; give u0, the input at t < 0, within"
+        raise ConfigError(f"u0: expected within input_bounds {limits.tolist()}, got {got}")
     return np.clip(u, *limits.T)
 
 

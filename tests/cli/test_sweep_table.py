@@ -13,8 +13,8 @@ from npred.cli import sweep as sweep_table
 from npred.cli.sweep import Row, rows_of
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.cells import cells
+from npred.lab.scheduler.plan import STAGES, Planner
 from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner
 from npred.lab.store import Store
 
 

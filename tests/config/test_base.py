@@ -6,12 +6,23 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from result_samples import BENCHED, CROSSOVER, MAP, SCORES, TRAINED, evaluated, timing
 
 from npred.base.errors import StoreError
-from npred.lab.config.results import Benched, Evaluated, Generated, Result, Trained
+from npred.lab.config.results import (
+    NO_ADAPTATION,
+    NUMERICAL,
+    Benched,
+    Evaluated,
+    Generated,
+    PredictorId,
+    Result,
+    Trained,
+)
 from npred.lab.config.results.evaluate import Errors, Scores
-from npred.lab.scheduler.stage_registry import STAGES
+from npred.lab.scheduler.plan import STAGES
 
 EVALUATED = evaluated({"numerical": SCORES, "deeponet@7": SCORES | {"map": None}})
 
@@ -78,6 +89,39 @@ def test_a_missing_key_is_named():
 def test_the_networks_of_an_evaluation_that_are_not_built_in_are_counted_by_name():
     names = ("numerical", "yours", "fno", "mine@3", "mine")
     typed = Evaluated.of(evaluated(dict.fromkeys(names, SCORES)), "a test")
-    assert [(c.name, c.rank) for c in typed.models] == [
-        ("numerical", 0), ("yours", 1), ("fno", 0), ("mine@3", 0), ("mine", 0),
-    ]  # fmt: skip
+    assert [c.name for c in typed.models] == [*names] and [c.rank for c in typed.models] == [0, 1, 0, 0, 0]
+
+
+NETWORK_NAMES = st.from_regex(r"[a-z][a-z_0-9]{0,20}", fullmatch=True)
+
+
+@given(NETWORK_NAMES, st.none() | st.integers(1, 10**9))
+def test_a_name_is_read_back(model: str, epoch: int | None):
+    predictor = PredictorId(model, epoch)
+    assert PredictorId.parse(predictor.name) == predictor == PredictorId.parse(predictor)
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("numerical", "numerical"),
+        ("no_adaptation", "no adaptation"),
+        ("deeponet", "DeepONet"),
+        ("fno@20", "FNO, epoch 20"),
+        ("my_net@3", "my_net, epoch 3"),
+    ],
+)
+def test_labels_are_the_registrys_and_a_networks_own_name_elsewhere(name: str, label: str):
+    assert PredictorId.parse(name).label == label
+
+
+def test_networks_are_all_but_the_two():
+    assert PredictorId("fno").is_network and PredictorId("fno", 3).is_network
+    assert not NUMERICAL.is_network and not NO_ADAPTATION.is_network
+    assert NUMERICAL.adapts and PredictorId("fno").adapts and not NO_ADAPTATION.adapts
+
+
+@pytest.mark.parametrize("name", ["fno@", "fno@last", "fno@-1", "fno@²"])
+def test_what_is_no_epoch_is_refused(name: str):
+    with pytest.raises(ValueError, match="expected an epoch after @, got"):
+        PredictorId.parse(name)

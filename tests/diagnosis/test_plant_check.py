@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from npred import diagnosis, plants
 from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.diagnosis import check, lyapunov, settled
+from npred.diagnosis import check, equilibrium, settled
 from npred.lab import config
 from npred.lab.scheduler import pipeline_fit
 from npred.plants import Plant
@@ -56,7 +56,7 @@ def test_built_in_plants_have_no_answer_of_no(name):
         ("* M.sqrt(x.h)]\n\n    def k", "* M.sqrt(x.h) + x.h**3]\n\n    def k", "completeness", "py:10.: the open"),
         ("[u.U - p.", "[u.U - 900 * (x.h - 1) - p.", "stiffness", "= 9 with .* expected below 2; take 45. nodes or"),
     ],
-)  # fmt: skip
+)
 def test_a_mistake_is_one_answer_of_no_with_its_line_and_cure(tank_file, old, new, question, words):
     answer = answers(plants.resolve(tank_file(old, new)))[question]
     assert answer.verdict == "no"
@@ -138,7 +138,7 @@ def test_a_V_of_zero_gets_a_better_one(tank_file):
 
 def test_lyapunov_equation():
     A = np.random.default_rng(0).normal(size=(4, 4)) - 5 * np.eye(4)
-    np.testing.assert_allclose(lyapunov.lyapunov(A), solve_continuous_lyapunov(A.T, -np.eye(4)), rtol=1e-10)
+    np.testing.assert_allclose(equilibrium.lyapunov(A), solve_continuous_lyapunov(A.T, -np.eye(4)), rtol=1e-10)
 
 
 def test_a_plant_that_tracks_has_no_equilibrium_and_that_is_no_failure(tank_file):
@@ -483,7 +483,7 @@ def test_signs_stand_between_the_terms_of_what_is_offered():
     offered = re.search(r"V = (.+) solves the Lyapunov equation", answers(plant)["V"].text)
     assert offered is not None
     assert "(x.x + 1) ** 2 - " in offered[1] and "- -" not in offered[1] and "+ -" not in offered[1]
-    assert lyapunov._proportional(_case(plant, offered[1]), *_solution(plant, offered[1]))
+    assert equilibrium._proportional(_case(plant, offered[1]), *_solution(plant, offered[1]))
 
 
 def _case(plant, V):
@@ -493,7 +493,7 @@ def _case(plant, V):
 
 def _solution(plant, V):
     case = _case(plant, V)
-    return solve_continuous_lyapunov(plant.linearised()[0].T, -np.eye(2)), lyapunov._towards_rest(case)
+    return solve_continuous_lyapunov(plant.linearised()[0].T, -np.eye(2)), equilibrium._towards_rest(case)
 
 
 def test_a_V_that_no_law_takes_is_not_asked_for(tank_file, tmp_path):

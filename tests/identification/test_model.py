@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 import npred
 from npred.identification.fit import lag_states
 from npred.identification.log import Log, Segments
-from npred.identification.model import MeasuredOutputs, RolloutModel
+from npred.identification.model import RolloutModel
 
 BOX = """
 import numpy as np
@@ -104,7 +104,7 @@ def test_outputs_have_the_derivatives_of_differences():
     X, theta = np.random.default_rng(0).standard_normal((3, 2)), np.array([1.2, 0.3])
     model, pieces = RolloutModel(plant, (0, 1)), parts.pieces([0.25])
     x, J = model.run(X, theta, pieces)
-    y, G = MeasuredOutputs(model).read(x, J, parts.t, model.parameters(theta))
+    y, G = model.outputs(x, J, parts.t, model.parameters(theta))
     assert np.allclose(y[..., 0], 1.2 * x[..., 0] ** 2 + x[..., 1])
     h = 1e-6
     for k, unit in enumerate(np.eye(4)):

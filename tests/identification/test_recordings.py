@@ -42,7 +42,7 @@ def test_series_have_times_of_their_own_without_what_is_not_finite(table):
         ("log.csv", ["q"], "got 'q'; choose one of t, valve, level, empty"),
         ("log.csv", ["empty"], "log.csv: expected numbers in empty, got empty cells or NaN alone; name another column"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_read_is_one_line(table, name, names, words):
     for other in ("log.xyz", "log"):
         table.with_name(other).write_text("t,level\n0,1\n")
@@ -76,7 +76,7 @@ def test_the_formats_that_read_text_need_no_package():
 def test_without_the_package_of_a_format_it_is_asked_for(table):
     suffixes = {"mcap": "mcap", "bag": "rosbag", "db3": "rosbag", "ulg": "ulog"}  # and the extra of each
     program = (
-        "import without_extras, pathlib\nfrom npred import errors, recordings\n"
+        "import without_extras, pathlib\nfrom npred.base import errors\nfrom npred.identification import recordings\n"
         f"for suffix in {list(suffixes)}:\n    path = pathlib.Path(f'log.{{suffix}}')\n    path.touch()\n"
         "    try:\n        recordings.columns(path)\n    except errors.MissingError as error:\n        print(error)\n"
         "print(recordings.columns(pathlib.Path('log.csv'))[0])\n"

@@ -14,7 +14,7 @@ from npred.base.errors import ConfigError
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation
 from npred.lab import config
-from npred.lab.config.conditions import condition
+from npred.lab.config import conditions
 from npred.lab.scheduler.plan import Node
 from npred.lab.stages.generate import generate
 from npred.lab.training.data.dataset import Dataset
@@ -167,8 +167,8 @@ def law(tmp_path: Path) -> str:
     return f"{tmp_path / 'my_law.py'}:Towards"
 
 
-def loop(**changes) -> config.Loop:
-    return config.Loop(**{"gamma": 2.0, "b": 0.5, "bounds": (0.2, 3.0)} | changes)
+def loop(**changes) -> config.LoopTable:
+    return config.LoopTable(**{"gamma": 2.0, "b": 0.5, "bounds": (0.2, 3.0)} | changes)
 
 
 def question(stage: str, adaptation: str | None) -> dict:
@@ -177,9 +177,9 @@ def question(stage: str, adaptation: str | None) -> dict:
 
 
 def test_laws_by_name_and_from_a_file(law):
-    assert condition.adaptation(loop(), PLANT) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
-    assert condition.adaptation(loop(adaptation="frozen"), PLANT) is None
-    own = condition.adaptation(loop(adaptation=law), PLANT)
+    assert conditions.adaptation(loop(), PLANT) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
+    assert conditions.adaptation(loop(adaptation="frozen"), PLANT) is None
+    own = conditions.adaptation(loop(adaptation=law), PLANT)
     assert own is not None
     assert (type(own).__name__, own.gamma, own.b, own.bounds) == ("Towards", 2.0, 0.5, (0.2, 3.0))
 
@@ -224,7 +224,7 @@ def test_data_are_made_with_the_law(tmp_path, law):
 def test_a_file_that_is_no_law_is_told(law, text, message):
     Path(law.partition(":")[0]).write_text(text)
     with pytest.raises(ConfigError, match=message) as caught:
-        condition.adaptation(loop(adaptation=law), plants.resolve("scalar"))
+        conditions.adaptation(loop(adaptation=law), plants.resolve("scalar"))
     assert "\n" not in str(caught.value)
 
 
@@ -245,9 +245,9 @@ COMPILED = COMPILED.replace(
 def test_a_law_with_a_kernel_is_compiled_and_is_one_file(law):
     path = Path(law.partition(":")[0])
     settings = loop(adaptation=law, gamma=2.0)
-    interpreted = condition.adaptation(settings, PLANT)
+    interpreted = conditions.adaptation(settings, PLANT)
     path.write_text(COMPILED)
-    compiled = condition.adaptation(settings, PLANT)
+    compiled = conditions.adaptation(settings, PLANT)
     assert [delay_law.part(PLANT, each, 0.01).compiled for each in (interpreted, compiled)] == [False, True]
     np.testing.assert_allclose(loops(compiled).D_hat, loops(interpreted).D_hat, rtol=1e-13)
 
@@ -266,7 +266,7 @@ def test_a_subclass_that_changes_a_compiled_law_runs_in_python():
 
 def test_a_law_of_a_package_has_a_name(package, tmp_path):
     package("towards = shed_of_tanks:Towards", LAW, "npred.delay_laws")
-    assert type(condition.adaptation(loop(adaptation="towards"), PLANT)).__name__ == "Towards"
+    assert type(conditions.adaptation(loop(adaptation="towards"), PLANT)).__name__ == "Towards"
     asked = question("generate", "towards")["generate"]["adaptation"]
     assert asked == {"name": "towards", "target": "shed_of_tanks:Towards", "package": "shed-of-tanks", "version": "1.0"}
     run = job(tmp_path, "data", plant="scalar", generate={"adaptation": "towards", "samples": 20, "rollouts": 2})
@@ -282,4 +282,4 @@ def test_an_unknown_law_is_refused_where_the_pipeline_is_read():
 
 def test_a_missing_file_is_told():
     with pytest.raises(ConfigError, match=r"adaptation none.py:Law: expected a Python file, found none at none.py"):
-        condition.adaptation(loop(adaptation="none.py:Law"), PLANT)
+        conditions.adaptation(loop(adaptation="none.py:Law"), PLANT)

@@ -144,7 +144,7 @@ def test_saved_model_reads_back_to_the_bit(config, tmp_path):
     with torch.no_grad():
         assert torch.equal(load(tmp_path, PLANT, config=config)(*inputs), model(*inputs))
     manifest = describe(tmp_path)
-    assert manifest["config"] == config.moved(lambda path: Path(path).name).model_dump(mode="json")
+    assert manifest["config"] == config.map_paths(lambda path: Path(path).name).model_dump(mode="json")
 
 
 def test_snapshot_has_its_own_weights(tmp_path):

@@ -131,11 +131,12 @@ def test_the_chain_runs(write, tmp_path):
     """Data, a network, and its evaluation."""
     times = {"gamma": 1.0, "bounds": [0.1, 0.3], "nx": 5, "t_end": 0.4, "dt": 0.02}
     tables = {
-        "plant": write(), "train": {"models": ["deeponet"]},
+        "plant": write(),
+        "train": {"models": ["deeponet"]},
         "generate": times | {"D": 0.2, "D_hat0": [[0.15, 0.25]], "samples": 60, "rollouts": 4},
-        "evaluate": times | {"D": 0.2, "D_hat0": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 0.4, "case_states": 1,
-                             "case_D_hat0": [0.2]},
-    }  # fmt: skip
+        "evaluate": times
+        | {"D": 0.2, "D_hat0": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 0.4, "case_states": 1, "case_D_hat0": [0.2]},
+    }
     data = job(tmp_path, "generate", **tables)
     assert generate.run(data).json_object()["samples"] == 60
     training = job(tmp_path, "deeponet", inputs={"generate": data.folder}, model="deeponet", **tables)

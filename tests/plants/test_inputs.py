@@ -13,7 +13,7 @@ from npred import plants
 from npred.base.errors import ConfigError, DivergedError
 from npred.lab import config
 from npred.lab.scheduler import pipeline_fit
-from npred.lab.scheduler.stage_registry import nodes
+from npred.lab.scheduler.plan import nodes
 from npred.lab.stages.generate import generate
 from npred.lab.training.data.dataset import Dataset
 from npred.loop.closed_loop import simulate

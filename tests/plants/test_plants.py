@@ -234,7 +234,7 @@ def test_derivatives_at_many_points_and_times_are_those_at_each():
         ("class Tank", "import sys; sys.exit(3)\nclass Tank", r"failed on import: SystemExit"),
         ("+ p.level - x.h", "+ 1 + x.h**2", r"\(my_plant.py:13\) leads to no equilibrium near guess = \[0.8\]: h' = 1"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_told_in_one_line(tank_file, old, new, message):
     with pytest.raises(ConfigError, match=message) as caught:
         plant = plants.resolve(tank_file(old, new))

@@ -16,8 +16,7 @@ from npred.base.errors import ConfigError
 from npred.base.registry import METHODS
 from npred.cli import app
 from npred.lab import config
-from npred.lab.scheduler.plan import Node
-from npred.lab.scheduler.stage_registry import Planner
+from npred.lab.scheduler.plan import Node, Planner
 from npred.lab.stages.bench import candidates
 from npred.lab.stages.generate import generate
 from npred.lab.store import Store

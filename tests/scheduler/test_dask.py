@@ -17,8 +17,8 @@ from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.cells import cells
 from npred.lab.scheduler.executors import Here
+from npred.lab.scheduler.plan import Planner
 from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import Planner
 from npred.lab.stages.generate import generate
 from npred.lab.store import Store
 from npred.lab.training.data import shards
@@ -41,8 +41,8 @@ nx = 21
 @pytest.fixture(scope="module")
 def cluster():
     """Two workers, a process each, that nobody outside this machine can reach."""
-    with distributed.LocalCluster(2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
-                                  silence_logs=50) as cluster:  # fmt: skip
+    addresses = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(2, threads_per_worker=1, silence_logs=50, **addresses) as cluster:
         yield cluster
 
 
@@ -94,18 +94,8 @@ def test_the_command_line_gives_the_same_digests(cluster, tmp_path):
     (tmp_path / "tiny.toml").write_text(TINY)
     found = []
     for name, executor in (("local", "local"), ("dask", f"dask:{cluster.scheduler_address}")):
-        command = [
-            sys.executable,
-            "-m",
-            "npred",
-            "generate",
-            "tiny.toml",
-            "--store",
-            name,
-            "--executor",
-            executor,
-            "-q",
-        ]
+        words = f"generate tiny.toml -q --store {name} --executor {executor}"
+        command = [sys.executable, "-m", "npred", *words.split()]
         subprocess.run(command, cwd=tmp_path, env=process_environment(), check=True, capture_output=True)
         (manifest,) = (tmp_path / name).glob("generate/*/manifest.json")
         written = json.loads(manifest.read_text())

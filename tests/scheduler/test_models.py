@@ -78,8 +78,8 @@ def test_a_network_of_a_file_is_trained_found_and_kept_by_what_the_file_holds(fi
 @pytest.mark.slow
 def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: Path, tmp_path: Path):
     pytest.importorskip("onnxruntime")
-    done = call("run", file, "--json", "--set", 'bench.runtimes=["torch","fused","onnx"]', "--set", "bench.dx=[0.1]",
-                "--set", "bench.batches=[1]")  # fmt: skip
+    sets = ('bench.runtimes=["torch","fused","onnx"]', "bench.dx=[0.1]", "bench.batches=[1]")
+    done = call("run", file, "--json", *(word for text in sets for word in ("--set", text)))
     assert done.exit_code == 0, done.output
     noted = [line for line in done.stderr.splitlines() if "no fused form" in line]
     assert [stage for line in noted for stage in ("evaluate", "bench") if line.startswith(f"{stage}: ")] == (

@@ -13,9 +13,8 @@ from npred.base.errors import ConfigError, StoreError
 from npred.lab import config
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler.models import load_model
-from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes, usual
-from npred.lab.scheduler.task import Outcome
+from npred.lab.scheduler.plan import STAGES, Planner, nodes, usual
+from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.store import Store
 
 Run = Callable[..., list[Outcome]]

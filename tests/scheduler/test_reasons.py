@@ -72,10 +72,8 @@ def test_diff_tells_the_same(edit, call, pipeline):
 
 
 def test_the_closest_of_many_results_is_the_most_recent_of_those_with_the_fewest_differences():
-    made = [
-        Artifact(Path(), Manifest.model_construct(question=asked(source, seed), pipeline="p"))
-        for source in ("a" * 64, "b" * 64) for seed in range(50)
-    ]  # fmt: skip
+    questions = [asked(source, seed) for source in ("a" * 64, "b" * 64) for seed in range(50)]
+    made = [Artifact(Path(), Manifest.model_construct(question=each, pipeline="p")) for each in questions]
     assert reasons.reason(asked("c" * 64, 7), "p", made) == f"plant.program.source: {'b' * 12} -> {'c' * 12}"
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import fake_stages
 import pytest
+from conftest import TANK
 from jobs import SMALL
 
 from npred.base.errors import ConfigError, DivergedError
@@ -17,9 +18,10 @@ from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.cells import cells
 from npred.lab.scheduler.executors import Here
-from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.scheduler.plan import Planner, nodes
+from npred.lab.scheduler.runner import Runner, Task, elsewhere
 from npred.lab.store import Store
+from npred.lab.store.manifest import versions
 
 
 def one(pipeline: Path, jobs: int) -> list[tuple[str, str]]:
@@ -128,3 +130,25 @@ def test_a_lack_of_memory_is_one_line(fakes: Path, pipeline: Path, monkeypatch: 
     monkeypatch.setitem(fake_stages.ANSWERS, "generate", generate)
     with pytest.raises(type(error) if words.startswith("^") else ConfigError, match=words):
         one(pipeline, jobs=1)
+
+
+@pytest.mark.parametrize("change", ["plant", "packages"])
+def test_a_process_with_another_plant_or_package_makes_nothing(tmp_path: Path, monkeypatch, change: str):
+    """What a worker reads at the plant's path may have changed, and what is installed there may be another version."""
+    tank = tmp_path / "tank.py"
+    tank.write_text(TANK)
+    path = tmp_path / "p.toml"
+    path.write_text("plant = 'tank.py:Tank'\n[generate]\nrollouts = 2\nsamples = 4\n")
+    planner = Planner(config.load(path), Store(tmp_path / "s"), "cpu")
+    (node,), expected = nodes(planner.config, ["generate"]), versions()
+    task = Task(planner, node, planner.question(node, {}), "", {}).with_absolute_paths()
+    monkeypatch.chdir("/")
+    if change == "plant":
+        tank.write_text(TANK.replace("u.q - x.h", "u.q - 2 * x.h"))
+    else:
+        expected = expected | {"numpy": "0.1"}
+    outcome = elsewhere(task, expected)
+    assert outcome.result is None and planner.store.artifacts() == []
+    assert outcome.failure == (
+        "generate: expected the same plant, delay law and packages on every worker, got others; install them there"
+    )

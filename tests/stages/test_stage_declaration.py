@@ -48,7 +48,7 @@ def summary(result, width=None):
 }
 PROGRAM = """
 import npred.lab.stages
-from npred import registry
+from npred.base import registry
 
 npred.lab.stages.__path__.append("{folder}")
 registry.STAGES = (*registry.STAGES, "probe")

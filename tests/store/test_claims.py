@@ -33,8 +33,8 @@ def test_a_process_that_was_killed_claims_nothing(tmp_path):
         "with claims.claimed(Path(sys.argv[1])) as claim:\n"
         "    claim('c' * 64)\n    print('claimed', flush=True)\n    sys.stdin.read()\n"
     )
-    running = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)], env=process_environment(),
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)  # fmt: skip
+    command, pipe = [sys.executable, "-c", program, str(tmp_path)], subprocess.PIPE
+    running = subprocess.Popen(command, env=process_environment(), stdin=pipe, stdout=pipe, text=True)
     assert running.stdout is not None and running.stdout.readline() == "claimed\n"
     assert claims.in_use(tmp_path) == {"c" * 64}
     running.send_signal(signal.SIGKILL)

@@ -49,7 +49,7 @@ def test_a_forced_rerun_keeps_the_old_result_until_the_new_one_is_there(store: S
     shutil.copytree(old.folder, draft)
     monkeypatch.setattr(shutil, "rmtree", killed)
     with pytest.raises(KeyboardInterrupt):
-        store.place(draft, old.manifest)
+        store.commit(draft, old.manifest.question, "tests")
     monkeypatch.undo()
     assert store.get(old.manifest.question.stage, old.manifest.key).verify() and not draft.exists()
 

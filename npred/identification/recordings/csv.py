@@ -27,7 +27,16 @@ class Csv:
     """A table; `names` are those of its columns, `units` what the header has in brackets behind some of them."""
 
     def __init__(self, path: Path) -> None:
-        self.path, lines = path, _lines(path)
+        self.path = path
+        try:
+            content = json_files.regular(path).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{path}: expected a table of text, got: {error.strerror}; check the path") from None
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+        lines = list(io.StringIO(text, newline=""))
         begin, separator, self.cells = self._header(lines)
         self.comma = separator != ","
         units = [UNIT.fullmatch(cell) for cell in self.cells]
@@ -35,7 +44,18 @@ class Csv:
         often = Counter(short)  # a unit stays in a name that would not be unique without it
         self.names = [name if often[name] == 1 else cell for name, cell in zip(short, self.cells, strict=True)]
         self.units = {unit[1]: unit[2] or unit[3] or "" for unit in units if unit and often[unit[1]] == 1}
-        self.numbers, rows = self._rows(lines, begin, separator)
+        body = ("" if line.lstrip().startswith("#") else line for line in lines[begin:])
+        reader = csv.reader(body, delimiter=separator, skipinitialspace=True)
+        self.numbers, rows, width = list[int](), list[list[str]](), len(self.cells)  # of lines, and their cells
+        try:
+            for row in reader:
+                if any(row):
+                    self.numbers.append(begin + reader.line_num)
+                    rows.append(row)
+                    if len(row) < width or any(row[width:]):
+                        raise self._fault(self.numbers[-1], f"{width} cells as in the header", len(row))
+        except csv.Error as error:
+            raise self._fault(begin + reader.line_num, "a row of a table", error) from None
         self.table = list(zip(*rows, strict=False)) or [()] * len(self.names)
 
     def columns(self) -> list[str]:
@@ -68,22 +88,6 @@ class Csv:
                 raise self._fault(k + 1, "a header line with the names of the columns", line.strip())
         raise ConfigError(f"{self.path}: expected a header line and rows, got an empty file; check the path")
 
-    def _rows(self, lines: Sequence[str], begin: int, separator: str) -> tuple[list[int], list[list[str]]]:
-        """The number of the line of each row, and the rows."""
-        body = ("" if line.lstrip().startswith("#") else line for line in lines[begin:])
-        reader = csv.reader(body, delimiter=separator, skipinitialspace=True)
-        numbers, rows, width = [], [], len(self.cells)
-        try:
-            for row in reader:
-                if any(row):
-                    numbers.append(begin + reader.line_num)
-                    rows.append(row)
-                    if len(row) < width or any(row[width:]):
-                        raise self._fault(numbers[-1], f"{width} cells as in the header", len(row))
-        except csv.Error as error:
-            raise self._fault(begin + reader.line_num, "a row of a table", error) from None
-        return numbers, rows
-
     def _place(self, name: str) -> int:
         """The column of a name, with or without its unit."""
         places = [k for k, names in enumerate(zip(self.names, self.cells, strict=True)) if name in names and name]
@@ -106,7 +110,11 @@ class Csv:
         except ValueError:
             start = None
         if start is not None:
-            return self._parsed(place, lambda cell: _since(start, cell), "a stamp as 2024-05-01T12:00:00.5, all alike,")
+
+            def since(cell: str) -> float:  # TypeError where one of both has a zone
+                return (datetime.fromisoformat(cell.strip()) - start).total_seconds() if cell.strip() else np.nan
+
+            return self._parsed(place, since, "a stamp as 2024-05-01T12:00:00.5, all alike,")
         unit = unit or self.units.get(self.names[place], "s")
         if unit not in UNITS:
             expected = f"a unit of time in the header, one of {', '.join(UNITS)}"
@@ -132,18 +140,6 @@ class Csv:
         return ConfigError(f"{self.path}:{line}: expected {expected}, got {str(got)[:60]!r}; edit that line")
 
 
-def _lines(path: Path) -> list[str]:
-    try:
-        content = json_files.regular(path).read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: expected a table of text, got: {error.strerror}; check the path") from None
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    return list(io.StringIO(text, newline=""))
-
-
 def _cells(line: str, separator: str) -> list[str]:
     """The cells of a header, without empty ones at its end."""
     cells = [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
@@ -163,8 +159,3 @@ def _is_number(cell: str) -> bool:
 def _number(cell: str, comma: bool) -> float:
     word = cell.strip().casefold()
     return WORDS[word] if word in WORDS else float(cell.replace(",", ".") if comma else cell)
-
-
-def _since(start: datetime, cell: str) -> float:
-    """Seconds. Raises ValueError, and TypeError where one of both has a zone."""
-    return (datetime.fromisoformat(cell.strip()) - start).total_seconds() if cell.strip() else np.nan

@@ -72,10 +72,20 @@ class Topics(ABC):
                     raise unknown(self.path, name, self._names(bag))
                 topic = max(topics, key=len)
                 fields[topic][name] = _steps(name[len(topic) :])
-            table = _table(bag, fields, moment)
-            times = self._clock(bag.start, table, time == LOG) if by_stamp else _moments(table, unit or "s")
-            for topic, columns in table.items():
-                for name, column in zip(fields[topic], columns[2:], strict=True):
+            rows: dict[str, list[list]] = {topic: [] for topic in fields}
+            for topic, logged, message in bag.messages(fields.keys()):
+                values = [_field(message, steps) for steps in fields[topic].values()]
+                rows[topic].append([logged, moment(message), *values])
+            table: dict[str, Columns] = {
+                topic: list(zip(*rows[topic], strict=True)) or [()] * (2 + len(fields[topic])) for topic in rows
+            }
+            times = self._clock(bag.start, table, time == LOG) if by_stamp else {}
+            for topic, (_, moments, *columns) in table.items():
+                if not by_stamp:  # NaN where none has the field
+                    numbers = _numbers(moments)
+                    lost = np.full(len(moments), np.nan)
+                    times[topic] = lost if numbers is None else numbers * UNITS[unit or "s"]
+                for name, column in zip(fields[topic], columns, strict=True):
                     if (values := _numbers(column)) is None:
                         raise unknown(self.path, name, self._names(bag))
                     series[name] = TimeSeries(times[topic], values)
@@ -104,24 +114,6 @@ class Topics(ABC):
         times = {topic: pair[int(topic in stamped)] for topic, pair in ns.items()}
         begin = min(times[topic].min() for topic in other) if other else start
         return {topic: (t - begin) * 1e-9 for topic, t in times.items()}
-
-
-def _table(bag: Bag, fields: Mapping[str, Mapping[str, Steps]], moment: Callable[[Any], Any]) -> dict[str, Columns]:
-    """The columns of each topic: times of the log, the moment of each message, its fields."""
-    rows: dict[str, list[list]] = {topic: [] for topic in fields}
-    for topic, logged, message in bag.messages(fields.keys()):
-        values = [_field(message, steps) for steps in fields[topic].values()]
-        rows[topic].append([logged, moment(message), *values])
-    return {topic: list(zip(*rows[topic], strict=True)) or [()] * (2 + len(fields[topic])) for topic in rows}
-
-
-def _moments(table: Mapping[str, Columns], unit: str) -> dict[str, np.ndarray]:
-    """The times that are fields of the messages, in seconds; NaN where none has it."""
-    times = {}
-    for topic, (_, moments, *_) in table.items():
-        numbers = _numbers(moments)
-        times[topic] = np.full(len(moments), np.nan) if numbers is None else numbers * UNITS[unit]
-    return times
 
 
 def _steps(name: str) -> Steps:

@@ -2,15 +2,13 @@
 
 from npred.lab.config.evaluate import Evaluate, GuardTable, Scenario
 from npred.lab.config.file import load, override, parse, put, table, value
-from npred.lab.config.loop import Disturbance, Loop, StateObserver, within
-from npred.lab.config.pipeline import Bench, Generate, Pipeline
+from npred.lab.config.loop import Disturbance, LoopTable, StateObserver
+from npred.lab.config.pipeline import Bench, Generate, Pipeline, Tune
 from npred.lab.config.section import FROZEN, PAPER, Anchor, Range, Section
 from npred.lab.config.train import FNO, DeepONet, Network, Train, Training
-from npred.lab.config.tune import Tune
 
 __all__ = [
     "FNO", "FROZEN", "PAPER", "Anchor", "Bench", "DeepONet", "Disturbance", "Evaluate", "Generate",
-    "GuardTable", "Loop", "Network", "Pipeline", "Range", "Scenario", "Section", "StateObserver",
+    "GuardTable", "LoopTable", "Network", "Pipeline", "Range", "Scenario", "Section", "StateObserver",
     "Train", "Training", "Tune", "load", "override", "parse", "put", "table", "value",
-    "within",
 ]  # fmt: skip

@@ -5,10 +5,9 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from npred.lab.config.loop import Clock, Disturbance, Limits, Loop, StateObserver
+from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, StateObserver
 from npred.lab.config.section import (
     Actuator,
-    Bias,
     Bounds,
     Count,
     Delay,
@@ -19,7 +18,6 @@ from npred.lab.config.section import (
     Positive,
     Range,
     Section,
-    Share,
     Some,
 )
 from npred.loop.measurement import Sensors
@@ -47,12 +45,12 @@ class Scenario(Section):
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
     noise: PerState | None = None  #: as measurement.noise
     absolute: PerState | None = None  #: as measurement.absolute
-    bias: Bias | None = None  #: as measurement.bias
+    bias: PerState | None = None  #: as measurement.bias
     resolution: PerState | None = None  #: as measurement.resolution
-    period: Positive | None = None  #: as measurement.period
-    jitter: Share | None = None  #: as measurement.jitter
-    delay: Delay | None = None  #: as measurement.delay
-    drop: Share | None = None  #: as measurement.drop
+    period: Number | None = None  #: as measurement.period
+    jitter: Number | None = None  #: as measurement.jitter
+    delay: Number | None = None  #: as measurement.delay
+    drop: Number | None = None  #: as measurement.drop
     parameters_scale: Positive | None = None  #: factor of all parameters of the simulated plant
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance
@@ -91,7 +89,7 @@ class GuardTable(Section):
     tolerance: Positive = 0.01  #: largest error of U that passes, in units of U
 
 
-class Evaluate(Loop):
+class Evaluate(LoopTable):
     """Errors on held-out rows, the error |P(1, t) - X(t + D)| in loops, the loop of Fig. 1, cases (initial states x
     D_hat(0)) and a map D x D_hat(0).
     """
@@ -116,6 +114,23 @@ class Evaluate(Loop):
     #: the check of networks in loops; by default none
     guard: GuardTable | None = None
 
+    def under(self, scenario: Scenario) -> Self:
+        """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
+        values = {CASES.get(key, key): value for key, value in scenario if value is not None}
+        update = {key: value for key, value in values.items() if key in type(self).model_fields}
+        sensors = {key: value for key, value in values.items() if key in Sensors.__dataclass_fields__}
+        update |= {
+            "measurement": replace(self.measurement, **sensors),
+            "truth": self.truth | scenario.parameters,
+        }
+        return self.model_copy(update=update)
+
+    @property
+    def bounded(self) -> Self | None:
+        """This table with `figure_bounds` for `input_bounds`; None where there are none."""
+        bounds = self.figure_bounds
+        return None if bounds is None else self.model_copy(update={"input_bounds": bounds})
+
     @model_validator(mode="after")
     def _check_scenarios(self) -> Self:
         names = [scenario.name for scenario in self.scenarios]
@@ -136,32 +151,13 @@ class Evaluate(Loop):
                 table.reached(f"scenarios[{k}].D_hat0", (value, value))
         return self
 
-    def under(self, scenario: Scenario) -> Self:
-        """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
-        values = {CASES.get(key, key): value for key, value in scenario if value is not None}
-        update = {key: value for key, value in values.items() if key in type(self).model_fields}
-        sensors = {key: value for key, value in values.items() if key in Sensors.__dataclass_fields__}
-        update |= {
-            "measurement": replace(self.measurement, **sensors),
-            "truth": self.truth | scenario.parameters,
-        }
-        return self.model_copy(update=update)
-
-    @property
-    def bounded(self) -> Self | None:
-        """This table with `figure_bounds` for `input_bounds`; None where there are none."""
-        bounds = self.figure_bounds
-        return None if bounds is None else self.model_copy(update={"input_bounds": bounds})
-
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        self.reached("D_hat0", (self.D_hat0, self.D_hat0))
-        self.reached("D", (self.D, self.D))
-        for k, delay in enumerate(self.map_D):
-            self.reached(f"map_D[{k}]", (delay, delay))
-        for key, values in {"case_D_hat0": self.case_D_hat0, "map_D_hat0": self.map_D_hat0}.items():
-            for k, value in enumerate(values):
-                self.reached(f"{key}[{k}]", (value, value))
+        keys = {"D_hat0": self.D_hat0, "D": self.D}
+        for key in ("map_D", "case_D_hat0", "map_D_hat0"):
+            keys |= {f"{key}[{k}]": value for k, value in enumerate(getattr(self, key))}
+        for key, value in keys.items():
+            self.reached(key, (value, value))
         if bool(self.map_D) != bool(self.map_D_hat0):
             raise ValueError("map_D, map_D_hat0: expected both or neither, got one; a map needs both axes")
         if self.t_end > self.case_t_end:

@@ -5,16 +5,16 @@ import re
 import stat
 import tomllib
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 
+from npred.base import defaults
 from npred.base.errors import ConfigError, similar
-from npred.lab.config import defaults
 from npred.lab.config.pipeline import Pipeline
-from npred.lab.config.section import Section, moved
+from npred.lab.config.section import Section, map_paths, tables
 
 LONGEST = 2**20  # bytes of a pipeline file
 
@@ -37,7 +37,7 @@ def table(path: Path) -> dict[str, Any]:
     """The tables of a TOML file as they stand, the files that they name found from here. Raises as `load` does."""
     try:
         folder = path.parent if path.is_file() else Path()
-        return moved(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
+        return map_paths(tomllib.loads(_file_text(path)), lambda file: str(folder / file))
     except FileNotFoundError:
         raise ConfigError(defaults.missing(path)) from None
     except (OSError, ValueError, RecursionError) as error:
@@ -125,15 +125,12 @@ def _sentence(error: ValidationError) -> str:
     return f"{where}: {expected}, got {came!r}{near}"
 
 
-def _leaves(model: type[Section] = Pipeline, path: str = "") -> Iterator[str]:
+def _leaves(model: type = Pipeline, path: str = "") -> Iterator[str]:
     """Every key of a pipeline file, dotted."""
-    for name, field in model.model_fields.items():
-        kinds = (field.annotation, *get_args(field.annotation))  # a table, one that may be absent, or a list of tables
-        table = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Section)), None)
-        library = next((kind for kind in kinds if is_dataclass(kind)), None)
-        if table:
-            yield from _leaves(table, f"{path}{name}.")
-        elif library:
-            yield from (f"{path}{name}.{key.name}" for key in fields(library))
-        else:
-            yield path + name
+    if issubclass(model, Section):
+        kinds = {name: field.annotation for name, field in model.model_fields.items()}
+    else:
+        kinds = {field.name: field.type for field in fields(model)}
+    for name, kind in kinds.items():
+        inner = tables(kind)
+        yield from _leaves(inner[0], f"{path}{name}.") if inner else [path + name]

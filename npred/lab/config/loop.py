@@ -48,7 +48,7 @@ class Disturbance(Section):
     omega: Positive = 1.0  #: in rad/s
 
 
-class Loop(Section):
+class LoopTable(Section):
     """The settings of closed loops [DAPF, eqs. 6-14].
 
     With `adaptation = "frozen"` D_hat stays at its first value; start it at D for a known delay. For a plant that
@@ -143,15 +143,10 @@ class Loop(Section):
 
     def reached(self, key: str, span: Range) -> None:
         """Raise ValueError for a delay or an estimate of it outside the bounds, where the estimate adapts."""
-        if self.adaptation != FROZEN:
-            within(key, span, self.bounds)
-
-
-def within(key: str, span: Range, bounds: Range) -> None:
-    """Raise ValueError unless the span lies inside the bounds of the delay estimate."""
-    if span[0] < bounds[0] or span[1] > bounds[1]:
-        values = list(span) if span[0] < span[1] else f"{span[0]:g}"
-        raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {values}; widen bounds or move {key}")
+        (low, high), bounds = span, self.bounds
+        if self.adaptation != FROZEN and (low < bounds[0] or high > bounds[1]):
+            came = [low, high] if low < high else f"{low:g}"
+            raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {came}; widen bounds or move {key}")
 
 
 def _times(D: float, value: Any, low: float, high: float) -> Any:

@@ -1,4 +1,4 @@
-"""A pipeline file: one table per stage. Those of [generate] and [bench] are here, the longer ones in modules."""
+"""A pipeline file: one table per stage. Those of [generate], [bench] and [tune] are here."""
 
 import re
 from pathlib import Path
@@ -9,15 +9,14 @@ from pydantic import Field, create_model, model_validator
 from npred.base import registry
 from npred.base.registry import METHODS
 from npred.lab.config.evaluate import Evaluate
-from npred.lab.config.loop import Loop
+from npred.lab.config.loop import LoopTable
 from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
-from npred.lab.config.tune import Tune
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
 
 
-class Generate(Loop):
+class Generate(LoopTable):
     """Rollouts with the numerical predictor, and samples of them.
 
     A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat0. A share `redraw` of the
@@ -82,6 +81,31 @@ class Bench(Section):
     baselines: list[Baseline] = []
 
 
+class Tune(Section):
+    """The search of `npred tune` in the loops of [evaluate].
+
+    gamma and b vary if a delay law adapts. A range with low > 0 has a logarithmic scale; low = high fixes the number.
+    """
+
+    #: parameters that vary: those of kappa, not of f; of kappa = "lqr" also Q and R, their diagonals, or one as Q.x
+    free: list[str] = []
+    #: by name, of Q and R times the present; by default gamma, b, Q, R: 1 % to 100 times, gains: a fifth to 5 times
+    bounds: dict[str, Span] = {}
+    starts: Count = 8  #: random initial states of the search
+    held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
+    evaluations: Count = 150  #: number of settings to try
+    effort: Delay = 0.1  #: weight of the control effort in the cost
+    #: smallest gain that counts, as a share of the cost
+    margin: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.05
+
+    @model_validator(mode="after")
+    def _check_bounds(self) -> Self:
+        for name in self.bounds:
+            if name not in (*self.free, "gamma", "b"):
+                raise ValueError(f"bounds: expected gamma, b or a name of free, got {name!r}; add it to free")
+        return self
+
+
 class _Tables(Section):
     """The plant, and one table per stage."""
 
@@ -142,7 +166,7 @@ class _Tables(Section):
             paths[registry.split(path)[0].name if registry.in_file(path) else Path(path).name] = None
             return path
 
-        self.moved(collect)
+        self.map_paths(collect)
         return list(paths)
 
     @property
@@ -150,13 +174,13 @@ class _Tables(Section):
         """The numerical methods to compare: those that have a name, and those of files that it takes."""
         return list(dict.fromkeys([*METHODS.names(), self.generate.predictor, self.evaluate.predictor]))
 
-    def beside(self) -> Self:
+    def with_file_names(self) -> Self:
         """The same with each of its `files` in the current folder: so the same wherever they lie."""
-        return self.moved(lambda path: Path(path).name)
+        return self.map_paths(lambda path: Path(path).name)
 
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         """The same for a process elsewhere, where a relative path would be another file."""
-        return self.moved(lambda path: str(Path(path).absolute()))
+        return self.map_paths(lambda path: str(Path(path).absolute()))
 
 
 if TYPE_CHECKING:

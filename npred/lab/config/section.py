@@ -1,9 +1,9 @@
 """A table of the pipeline file, and the types of its keys."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
@@ -19,12 +19,9 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-PerState = Delay | list[Delay]
-Bias = Number | list[Number]
+PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
-Share = Annotated[float, Field(ge=0, lt=1, strict=True)]
-Half = Annotated[float, Field(ge=0, lt=0.5, strict=True)]
 PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 
 
@@ -67,23 +64,30 @@ def built(kind: type) -> BeforeValidator:
     return BeforeValidator(build)
 
 
+def tables(kind: Any) -> list[type]:
+    """The tables in the type of a key: classes of this file, and dataclasses of the library."""
+    if isinstance(kind, type) and (is_dataclass(kind) or issubclass(kind, Section)):
+        return [kind]
+    return [table for part in get_args(kind) for table in tables(part)]
+
+
 class Section(BaseModel):
     """A table of the pipeline file: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
-    def moved(self, locate: Callable[[str], str]) -> Self:
+    def map_paths(self, locate: Callable[[str], str]) -> Self:
         """The same with `locate(path)` in each value that names a class of a file, or data."""
-        return self.model_copy(update={key: moved(value, locate, key) for key, value in self})
+        return self.model_copy(update={key: map_paths(value, locate, key) for key, value in self})
 
 
-def moved(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
+def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
     if isinstance(value, Section):
-        return value.moved(locate)
+        return value.map_paths(locate)
     if isinstance(value, dict):
-        return {name: moved(item, locate, name) for name, item in value.items()}
+        return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
-        return [moved(item, locate) for item in value]
+        return [map_paths(item, locate) for item in value]
     is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
     return locate(value) if is_path else value

@@ -14,8 +14,6 @@ from npred.lab.config import Pipeline
 
 MOST = 100_000
 _RANGE = re.compile(r"(-?\d+):(-?\d+)(?::([1-9]\d*))?")
-# A piece of a list: nothing of it outside of quotes and brackets is a comma.
-_QUOTED = r'"(?:[^"\\]|\\.)*"|\'[^\']*\''
 
 
 @dataclass(frozen=True)
@@ -57,37 +55,32 @@ def values(text: str) -> list[str]:
     What TOML reads as one value, as the list `[0.01,0.005]` or the text `"a,b"`, is one value. Raises ConfigError for
     a range without numbers and for an empty item in a list.
     """
-    pieces = [text] if _toml(text) else list(_pieces(text))
-    expanded = [value for piece in pieces for value in _expanded(piece.strip() if len(pieces) > 1 else piece)]
+    try:
+        tomllib.loads(f"value = {text}")
+        pieces = [text]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        pieces = list(_pieces(text))
+    expanded = []
+    for piece in pieces:
+        match = _RANGE.fullmatch(piece := piece.strip() if len(pieces) > 1 else piece)
+        numbers = range(int(match[1]), int(match[2]), int(match[3] or 1)) if match else ()
+        if match and not 0 < len(numbers) <= MOST:
+            raise ConfigError(
+                f"--set: expected a range as 0:10, its end not in it, got {piece!r}; write 0:10 or 0:10:5"
+            )
+        expanded += map(str, numbers) if match else [piece]
     if len(pieces) > 1 and "" in expanded:
         raise ConfigError(f"--set: expected values between the commas, got {text!r}; drop the empty one")
     return list(dict.fromkeys(expanded))
 
 
 def _pieces(text: str) -> Iterator[str]:
+    """The text between the commas that are outside of quotes and brackets."""
     depth, start = 0, 0
-    for match in re.finditer(rf"{_QUOTED}|[\[\]{{}},]", text):
+    for match in re.finditer(r"""\"(?:[^"\\]|\\.)*\"|'[^']*'|[\[\]{},]""", text):
         token = match.group()
         depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(token, 0)
         if token == "," and depth == 0:
             yield text[start : match.start()]
             start = match.end()
     yield text[start:]
-
-
-def _expanded(piece: str) -> list[str]:
-    match = _RANGE.fullmatch(piece)
-    if match is None:
-        return [piece]
-    numbers = range(int(match[1]), int(match[2]), int(match[3] or 1))
-    if not 0 < len(numbers) <= MOST:
-        raise ConfigError(f"--set: expected a range as 0:10, its end not in it, got {piece!r}; write 0:10 or 0:10:5")
-    return [str(number) for number in numbers]
-
-
-def _toml(text: str) -> bool:
-    try:
-        tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
-        return False
-    return True

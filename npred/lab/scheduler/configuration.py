@@ -13,7 +13,7 @@ from typing import Any
 from npred.base import registry
 from npred.base.errors import ConfigError
 from npred.base.json_files import mapped, regular, sha256
-from npred.lab.config import Loop, Pipeline, Section
+from npred.lab.config import LoopTable, Pipeline, Section
 from npred.plants import Plant
 
 
@@ -63,7 +63,7 @@ class Slices:
 
     def loop(self, stage: str) -> dict[str, Any]:
         """The table of a stage that runs loops, and the digests of the plant's functions that only such loops use."""
-        settings: Loop = getattr(self.config, stage)
+        settings: LoopTable = getattr(self.config, stage)
         section = table(settings)
         section["predictor"] = registry.METHODS.identity(settings.predictor)
         scenarios = section.get("scenarios", [])

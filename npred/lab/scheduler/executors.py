@@ -241,21 +241,21 @@ class Cluster(Workers):
         """The future of a call on one of the workers."""
         outcome: Future[Result] = Future()
         inner = self._inner.submit(fn, *args, **kwargs)
+
+        def finish(done: Future[Result]) -> None:  # the cluster's failures in one line each
+            error = CancelledError() if done.cancelled() else done.exception()
+            if isinstance(error, CancelledError):
+                what = "expected a scheduler that stays up, lost it; start it and run the same again"
+                error = NpredError(f"--executor: {what}")
+            elif type(error).__name__ == "KilledWorker":
+                error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
+            _settle(outcome, error, done)
+
         outcome.add_done_callback(lambda done: done.cancelled() and inner.cancel())
-        inner.add_done_callback(lambda done: _pass_on(done, outcome))
+        inner.add_done_callback(finish)
         return outcome
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Leave the cluster, which stays up: after the work, or, without `wait`, now."""
         self._inner.shutdown(wait=wait and not cancel_futures)
         self._client.close()
-
-
-def _pass_on(done: Future[Result], outcome: Future[Result]) -> None:
-    """The outcome of a task of the cluster; its own failures in one line each."""
-    error = CancelledError() if done.cancelled() else done.exception()
-    if isinstance(error, CancelledError):
-        error = NpredError("--executor: expected a scheduler that stays up, lost it; start it and run the same again")
-    elif type(error).__name__ == "KilledWorker":
-        error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
-    _settle(outcome, error, done)

@@ -7,13 +7,13 @@ import numpy as np
 
 from npred import networks as runtimes
 from npred import plants
-from npred.base import devices, progress
+from npred.base import defaults, devices, progress
 from npred.base.errors import ConfigError, unlisted
 from npred.lab import config
-from npred.lab.config import Training, defaults
+from npred.lab.config import Training
 from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
-from npred.lab.scheduler.stage_registry import Planner, nodes
+from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.store import Artifact, Store
 from npred.lab.training import operators
 from npred.plants import Plant
@@ -71,13 +71,13 @@ def load(
     """
     if not isinstance(model, str | Path):
         raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
-    device = devices.resolve(device)
-    devices.require(device)
     return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
 
 
 def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predictor:
     """A trained model of the store as a predictor; see `load`."""
+    device = devices.resolve(device)
+    devices.require(device)
     with progress.announce(f"loading network {stored.model}", often="once per process"):
         precision = np.float64 if runtime in (None, "torch") else np.float32
         operator = operators.read(stored.folder, stored.plant, stored.snapshot, precision, stored.config)

@@ -14,14 +14,12 @@ from npred.base.registry import NETWORKS
 from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
 from npred.diagnosis.case import SPAN
-from npred.diagnosis.equilibrium import SLIP, times
-from npred.diagnosis.lyapunov import DECLARE
+from npred.diagnosis.equilibrium import DECLARE, SLIP, times
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
-from npred.lab.config import FROZEN, PAPER, Loop, Pipeline, Scenario
-from npred.lab.config.conditions import Condition, condition
-from npred.lab.config.conditions.condition import observer
+from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
+from npred.lab.config.conditions import Condition
 from npred.loop import clocked
 from npred.loop.simulation import LANES
 from npred.loop.trajectories import Trajectories
@@ -47,7 +45,7 @@ class PipelineFit:
     stages: Collection[str] = STAGES
 
     @property
-    def loops(self) -> dict[str, Loop]:
+    def loops(self) -> dict[str, LoopTable]:
         """The tables of the stages that simulate."""
         return {stage: getattr(self.pipeline, stage) for stage in ("generate", "evaluate") if stage in self.stages}
 
@@ -73,7 +71,7 @@ class PipelineFit:
     def _adaptive(self, case: Case) -> AdaptiveLoops:
         """The loops of [evaluate], from its start and others of the box."""
         table = self.pipeline.evaluate
-        law = condition.adaptation(table, self.plant)
+        law = conditions.adaptation(table, self.plant)
         assert isinstance(law, DelayAdaptation)
         X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat0, *table.case_D_hat0}))
         X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == self.plant.n else X0
@@ -122,6 +120,7 @@ def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
 
 def _require(fit: PipelineFit, case: Case) -> None:
     """Raise ConfigError at the first question that is answered by no; these take no time."""
+    plant, pipeline = fit.plant, fit.pipeline
 
     def ask(name: str) -> None:
         answer = case.ask(next(question for question in diagnosis.QUESTIONS if question.name == name))
@@ -134,21 +133,34 @@ def _require(fit: PipelineFit, case: Case) -> None:
     ask("box")
     for stage, loop in fit.loops.items():
         for each in filter(None, (loop, getattr(loop, "bounded", None))):  # a range per input, an input before t = 0
-            inputs.configured(fit.plant, each.u0, each.input_bounds, stage)
+            inputs.configured(plant, each.u0, each.input_bounds, stage)
     for stage, loop in fit.loops.items():
-        if loop.adaptation != FROZEN and not fit.plant.declares_delay:
+        if loop.adaptation != FROZEN and not plant.declares_delay:
             delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
     clock(fit)
-    if case.takes_V and not fit.plant.declares_V:
-        raise ConfigError(f"{undeclared(fit.plant)}; {DECLARE}")
+    if case.takes_V and not plant.declares_V:
+        raise ConfigError(f"{undeclared(plant)}; {DECLARE}")
     ask("finite")
     ask("stability")
     if "evaluate" in fit.stages:
         ask("reference")
-    if "train" in fit.stages:
-        anchors(fit)
+    models = pipeline.train.models if "train" in fit.stages else []
+    at_rest = [name for name in models if pipeline.train.table(name).anchor == "equilibrium"]
+    if at_rest and not plant.rest:
+        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
+        what = f"expected a plant with an equilibrium, {plant.name} has none"
+        raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
     if "evaluate" in fit.stages:
-        radius(fit)
+        if not (plant.rests or plant.tracks):
+            what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
+            todo = "declare reference(t, p, M), what kappa follows"
+            raise ConfigError(f"evaluate: {what}; its loops have no radius: {todo}")
+        X0 = pipeline.evaluate.X0
+        if len(X0) != plant.n:
+            what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
+            raise ConfigError(f"evaluate.X0: {what}; give as many")
+        if not np.isfinite(X0).all():
+            raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
     parts(fit)
 
 
@@ -215,11 +227,16 @@ def room(fit: PipelineFit) -> None:
 def clock(fit: PipelineFit) -> None:
     """A network sees the time as a phase, so f and kappa have to repeat: tried near the origin, at n times.
 
-    Or it tells the time by the delay, which then has to rise or to fall for as long as loops run.
+    Or it tells the time by the delay D(t), which then has to rise or to fall for as long as loops run.
     """
     plant = fit.plant
     if plant.clocked and not plant.phased:
-        _tells_time(fit)
+        seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
+        steps = np.diff(plant.delay(np.zeros((TIMES, plant.n)), np.linspace(0.0, seconds, TIMES)))
+        if not ((steps > 0).all() or (steps < 0).all()):
+            span = plant.time_text(seconds)
+            what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
+            raise ConfigError(f"{plant.location('delay')}: {what}; declare period, after which it repeats")
     if plant.phase(0.0) is None or plant.period is None:
         return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
@@ -230,40 +247,6 @@ def clock(fit: PipelineFit) -> None:
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")
 
 
-def _tells_time(fit: PipelineFit) -> None:
-    """Raise ConfigError where the delay D(t) comes back to a value within the time of the pipeline's loops."""
-    seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
-    delays = fit.plant.delay(np.zeros((TIMES, fit.plant.n)), np.linspace(0.0, seconds, TIMES))
-    steps = np.diff(delays)
-    if not ((steps > 0).all() or (steps < 0).all()):
-        span = fit.plant.time_text(seconds)
-        what = f"expected a delay that only rises or only falls for {span}, for networks tell the time by it"
-        raise ConfigError(f"{fit.plant.location('delay')}: {what}; declare period, after which it repeats")
-
-
-def anchors(fit: PipelineFit) -> None:
-    """Whether there is an equilibrium for the networks that take it for their anchor."""
-    train = fit.pipeline.train
-    at_rest = [name for name in train.models if train.table(name).anchor == "equilibrium"]
-    if at_rest and not fit.plant.rest:
-        keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
-        what = f"expected a plant with an equilibrium, {fit.plant.name} has none"
-        raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
-
-
-def radius(fit: PipelineFit) -> None:
-    """Whether the evaluated loops lead anywhere, from a start of the right size."""
-    plant, X0 = fit.plant, fit.pipeline.evaluate.X0
-    if not (plant.rests or plant.tracks):
-        what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
-        raise ConfigError(f"evaluate: {what}; its loops have no radius: declare reference(t, p, M), what kappa follows")
-    if len(X0) != plant.n:
-        what = f"expected one number per state ({', '.join(plant.states)}), got {X0 or 'none'}"
-        raise ConfigError(f"evaluate.X0: {what}; give as many")
-    if not np.isfinite(X0).all():
-        raise ConfigError(f"evaluate.X0: expected finite values, got {X0}; replace that")
-
-
 def parts(fit: PipelineFit) -> None:
     """Whether delay laws, methods and sensors load, and fit the plant; whether networks take their sizes."""
     for name in fit.pipeline.train.models if "train" in fit.stages else ():
@@ -271,8 +254,8 @@ def parts(fit: PipelineFit) -> None:
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
     tables = [*fit.loops.values(), *(fit.pipeline.evaluate.under(scenario) for scenario in fit.scenarios)]
     for loop in tables:
-        condition.adaptation(loop, fit.plant)
-        estimator = observer(loop, fit.plant)
+        conditions.adaptation(loop, fit.plant)
+        estimator = conditions.observer(loop, fit.plant)
         loop.measurement.check(fit.plant, estimator and len(estimator.outputs))
         if loop.timing or estimator:
             clocked.serves(fit.plant)

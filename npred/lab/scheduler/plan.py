@@ -1,18 +1,26 @@
-"""The plan of a graph: which results the store has and what would run, by the keys of the nodes."""
+"""The stages of a pipeline as a graph: the question that each node asks, and which results a store has of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
+from npred.base import registry
+from npred.base.errors import ConfigError, first_line
+from npred.lab.config import Pipeline
 from npred.lab.config.results import Result
 from npred.lab.report.terminal.console import Console
+from npred.lab.scheduler.declaration import Stage
 from npred.lab.scheduler.executors import Workers
 from npred.lab.scheduler.reasons import NEVER, alike, changes, differences, distance, leaves, reason, sentence
 from npred.lab.store import Artifact, Question, ResultInput, Store
 
+if TYPE_CHECKING:
+    from npred.plants import Plant
+
+STAGES: dict[str, Stage] = {name: registry.declared_stage(name) for name in registry.STAGES}
 UP_TO_DATE = "up to date"
 
 
@@ -33,6 +41,29 @@ class Node:
     def title(self) -> str:
         """For people: `train deeponet`."""
         return f"{self.stage} {self.model}" if self.model else self.stage
+
+
+def nodes(config: Pipeline, targets: Iterable[str], only: str | None = None) -> list[Node]:
+    """The targets with all that they need, each after its inputs; `only` keeps one network of stages with one for each.
+
+    No other stage needs an optional one where the pipeline has no table of it.
+    """
+    needed, graph, networks = set(targets), [], [only] if only else config.train.models
+    for name in reversed(STAGES):
+        above = STAGES[name].upstream if name in needed else ()
+        needed.update(stage for stage in above if getattr(config, stage) is not None)
+    for name in (name for name in STAGES if name in needed):
+        above = [stage for stage in STAGES[name].upstream if getattr(config, stage) is not None]
+        for model in networks if STAGES[name].per_network else (None,):
+            one = [model] if model else networks
+            inputs = (source for stage in above for source in (one if STAGES[stage].per_network else [stage]))
+            graph.append(Node(name, model, tuple(inputs)))
+    return graph
+
+
+def usual(config: Pipeline) -> list[str]:
+    """The stages that `npred run` brings: an optional one where the pipeline has its table."""
+    return [name for name, entry in STAGES.items() if not entry.optional or getattr(config, name) is not None]
 
 
 @dataclass(frozen=True)
@@ -81,7 +112,7 @@ class Resolver(ABC):
         """The name of what its results are made for."""
 
     @abstractmethod
-    def located(self) -> Self:
+    def with_absolute_paths(self) -> Self:
         """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
 
     @abstractmethod
@@ -111,13 +142,20 @@ class Resolver(ABC):
         self.check(nodes)
         steps: dict[str, Step] = {}
         for node in nodes:
-            blocked = [name for name in node.inputs if not steps[name].artifact]
-            inputs = {name: artifact for name in node.inputs if (artifact := steps[name].artifact)}
-            steps[node.name] = (
-                self._waiting(node, [steps[name] for name in blocked])
-                if blocked
-                else self.step(node, self.question(node, inputs))
-            )
+            sources = [steps[name] for name in node.inputs]
+            inputs = {source.node.name: source.artifact for source in sources if source.artifact}
+            if len(inputs) == len(sources):
+                steps[node.name] = self.step(node, self.question(node, inputs))
+                continue
+            # An input still has to be made: of the settings the reason tells what has changed.
+            older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.name)]
+            asked = self.settings(node)
+            flat = leaves(asked)
+            closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
+            causes = changes(closest.manifest.question.config, asked) if closest else []
+            running = (source for source in sources if source.question and not source.artifact)
+            causes += [f"upstream {source.node.name} will run ({source.reason})" for source in running]
+            steps[node.name] = Step(node, None, None, f"{'stale' if older else NEVER}: {sentence(causes)}")
         return list(steps.values())
 
     def step(self, node: Node, question: Question) -> Step:
@@ -125,9 +163,11 @@ class Resolver(ABC):
         if node.stage in self.forced:
             return Step(node, question, None, "--force")
         artifact = self.store.get(node.stage, question.key)
-        if artifact is None and self.borrows and (borrowed := self._borrowed(question)):
-            why = sentence(differences(borrowed.manifest.question, question))
-            return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
+        if artifact is None and self.borrows and (asked := anywhere(question)):
+            for borrowed in reversed(self._artifacts):
+                if anywhere(borrowed.manifest.question) == asked:
+                    why = sentence(differences(borrowed.manifest.question, question))
+                    return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
         why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts)
         return Step(node, question, artifact, why)
 
@@ -150,24 +190,67 @@ class Resolver(ABC):
             stage=node.stage, version=self.version(node), model=node.model, config=self.settings(node), inputs=sources
         )
 
-    def _waiting(self, node: Node, blocked: list[Step]) -> Step:
-        causes = [f"upstream {step.node.name} will run ({step.reason})" for step in blocked if step.question]
-        older = [a for a in self._artifacts if alike(a, node.stage, node.model, self.name)]
-        asked = self.settings(node)
-        flat = leaves(asked)
-        closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
-        changed = changes(closest.manifest.question.config, asked) if closest else []
-        return Step(node, None, None, f"{'stale' if older else NEVER}: {sentence([*changed, *causes])}")
-
-    def _borrowed(self, question: Question) -> Artifact | None:
-        """The latest result of the same question to another machine; None where no machine is part of it."""
-        asked = anywhere(question)
-        same = (a for a in reversed(self._artifacts) if asked and anywhere(a.manifest.question) == asked)
-        return next(same, None)
-
     @cached_property
     def _artifacts(self) -> list[Artifact]:
         return self.store.artifacts()
+
+
+@dataclass(frozen=True)
+class Planner(Resolver):
+    """Resolves the nodes of one pipeline."""
+
+    config: Pipeline
+    store: Store
+    device: str
+    forced: frozenset[str] = frozenset()
+    borrows: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @cached_property
+    def plant(self) -> "Plant":
+        """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
+        from npred import plants  # brings NumPy, which `npred --help` has no use for
+
+        return plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
+
+    def with_absolute_paths(self) -> Self:
+        return replace(self, config=self.config.with_absolute_paths(), store=Store(self.store.root.absolute()))
+
+    def check(self, nodes: Iterable[Node]) -> None:
+        """Raise ConfigError where these nodes ask for what the plant does not have."""
+        from npred.lab.scheduler import pipeline_fit
+
+        pipeline_fit.require(self.plant, self.config, {node.stage for node in nodes})
+
+    def version(self, node: Node) -> int:
+        return STAGES[node.stage].version
+
+    def settings(self, node: Node) -> dict[str, Any]:
+        """The slice of the configuration that the node's key holds, with the plant and the seed."""
+        from npred.lab.scheduler.configuration import Slices, identity
+
+        slices = Slices(self.config, self.plant, node.model, self.device)
+        return {"plant": identity(self.plant), "seed": self.config.seed} | STAGES[node.stage].key(slices)
+
+    def run(
+        self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
+        executor: Workers,
+    ) -> Result:  # fmt: skip
+        """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
+        from npred.lab.scheduler.job import Job
+
+        job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
+        try:
+            return STAGES[node.stage].run(job)
+        except (MemoryError, RuntimeError) as error:  # torch has a RuntimeError
+            if not isinstance(error, MemoryError) and "t allocate memory" not in str(error):
+                raise
+            todo = f"take fewer nodes, rows or weights in [{node.stage}]"
+            message = " ".join(first_line(error).split())
+            raise ConfigError(f"{node.title}: expected what fits into memory, got: {message}; {todo}") from error
 
 
 def anywhere(asked: Question) -> str | None:

@@ -45,7 +45,7 @@ def remember(store: Store, pipeline: Path, keys: Mapping[str, str] = {}) -> None
     name = hashlib.sha256(f"{_user()} {file}".encode(errors="surrogateescape")).hexdigest()[:32]
     entry = store.root / FOLDER / f"{name}.json"
     aside = entry.with_suffix(f".{os.getpid()}")
-    text = json.dumps({"file": str(file), "keys": _keys(_read(entry)) | dict(keys)}, indent=1)
+    text = json.dumps({"file": str(file), "keys": _read(entry)[1] | dict(keys)}, indent=1)
     with suppress(OSError):
         try:
             entry.parent.mkdir(parents=True, exist_ok=True)
@@ -64,29 +64,27 @@ def remembered(store: Store) -> list[GcRoot]:
     """The pipelines of a store whose files exist; an entry that cannot be read is none."""
     roots = []
     for path in sorted((store.root / FOLDER).glob("*.json")):
-        entry = _read(path)
+        name, keys = _read(path)
         try:
-            file = Path(str(entry["file"]))
-            exists = stat.S_ISREG(file.stat().st_mode)
-        except (KeyError, FileNotFoundError, NotADirectoryError, ValueError):
+            exists = stat.S_ISREG(Path(name).stat().st_mode)
+        except (FileNotFoundError, NotADirectoryError, ValueError):
             continue
         except OSError:  # a file that may not be looked at counts as there
             exists = True
         if exists:
-            roots.append(GcRoot(file, frozenset(_keys(entry).values()), path.lstat().st_uid == _user()))
+            roots.append(GcRoot(Path(name), frozenset(keys.values()), path.lstat().st_uid == _user()))
     return roots
 
 
-def _read(entry: Path) -> dict[str, object]:
+def _read(entry: Path) -> tuple[str, dict[str, str]]:
+    """The file of an entry, and the keys that it asked for; nothing of an entry that cannot be read."""
     try:
-        return json_files.table(entry, LIMIT)
+        table = json_files.table(entry, LIMIT)
     except (OSError, ValueError):
-        return {}
-
-
-def _keys(entry: Mapping[str, object]) -> dict[str, str]:
-    keys = entry.get("keys")
-    return {str(name): str(key) for name, key in keys.items()} if isinstance(keys, dict) else {}
+        return "", {}
+    keys = table.get("keys")
+    named = {str(name): str(key) for name, key in keys.items()} if isinstance(keys, dict) else {}
+    return str(table.get("file", "")), named
 
 
 @dataclass

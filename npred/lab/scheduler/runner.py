@@ -1,25 +1,133 @@
-"""The scheduler: pipelines as one graph in which equal keys are one node, and each is a hit or made once."""
+"""The scheduler: pipelines as one graph in which equal keys are one node, and each is a hit or made once.
+
+A node that the store has no result of is a task. Its work: lock the key, look again, run the stage aside, rename its
+result into place.
+"""
 
 import heapq
+import json
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
-from npred.base.errors import EXTRAS, NpredError, installed, lacking
+from npred.base.defaults import RESULT
+from npred.base.errors import EXTRAS, ConfigError, NpredError, installed, lacking, room_on_disk
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import Bar, Console
-from npred.lab.scheduler import executors, stage_registry
+from npred.lab.scheduler import executors
 from npred.lab.scheduler.executors import Here, Threads, Workers
-from npred.lab.scheduler.plan import UP_TO_DATE, Node, Resolver, Step
-from npred.lab.scheduler.stage_registry import STAGES, Planner
-from npred.lab.scheduler.task import Outcome, Task, elsewhere, packages
-from npred.lab.store import Artifact, Question, claims
+from npred.lab.scheduler.plan import STAGES, UP_TO_DATE, Node, Planner, Resolver, Step, nodes
+from npred.lab.store import Artifact, Question, claims, short
 from npred.lab.store.claims import Claim
+from npred.lab.store.manifest import versions
 
 WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
-REASON = "of a sweep"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of a node: `hit`, `run` or `failed`, why, how long it took, and its result unless it failed."""
+
+    node: Node
+    action: str
+    reason: str
+    seconds: float
+    result: Artifact | None = None
+    error: Exception | None = None
+
+    @property
+    def artifact(self) -> Artifact:
+        """The result. Raises what the stage raised where there is none."""
+        if self.result is None:
+            raise self.error or NpredError(f"{self.node.title}: expected a result, got none; run it again")
+        return self.result
+
+    @property
+    def key(self) -> str | None:
+        """The key of the result, None where there is none."""
+        return self.result.manifest.key if self.result else None
+
+    @property
+    def failure(self) -> str:
+        """The reason that there is no result, in one line; empty where there is one."""
+        if self.error is None:
+            return ""
+        unforeseen = "" if isinstance(self.error, NpredError) else f"{self.node.title}: {type(self.error).__name__}: "
+        return unforeseen + " ".join(str(self.error).split())
+
+
+@dataclass(frozen=True)
+class Task:
+    """A node that the store has no result of, why it runs, and the results that it takes."""
+
+    planner: Resolver
+    node: Node
+    question: Question
+    reason: str
+    inputs: dict[str, Artifact]
+
+    def with_absolute_paths(self) -> Self:
+        """The same for a process elsewhere: see Resolver."""
+        inputs = {name: replace(artifact, folder=artifact.folder.absolute()) for name, artifact in self.inputs.items()}
+        return replace(self, planner=self.planner.with_absolute_paths(), inputs=inputs)
+
+    def outcome(self, console: Console, jobs: int, executor: Workers) -> Outcome:
+        """The result, or the error that there was instead: nothing is raised but an interruption."""
+        start = time.perf_counter()
+        try:
+            artifact, action, why = self._make(console, jobs, executor)
+            outcome = Outcome(self.node, action, why, time.perf_counter() - start, artifact)
+        except Exception as error:
+            outcome = Outcome(self.node, "failed", self.reason, time.perf_counter() - start, error=error)
+        console.finish(self.node.title, "stopped" if outcome.error else outcome.action, outcome.seconds)
+        return outcome
+
+    def _make(self, console: Console, jobs: int, executor: Workers) -> tuple[Artifact, str, str]:
+        """The artifact, `run` or, where another process was faster, `hit`, and why. Raises what the stage raises."""
+        node, key, planner, store = self.node, self.question.key, self.planner, self.planner.store
+        holders: list[str] = []
+
+        def waiting(holder: str) -> None:
+            holders.append(holder)
+            console.doing(node.title, "waiting")
+            console.note(f"{node.title}: {short(key)} is being made by {holder}; waiting for it")
+
+        with store.lock(node.stage, key, waiting):
+            # Even --force takes what another process made while this one waited; a corrupt result it replaces unread.
+            forced = node.stage in planner.forced and not holders
+            if not forced and (artifact := store.get(node.stage, key)):
+                return artifact.verify(), "hit", f"made meanwhile by {holders[0] if holders else 'another process'}"
+            console.note(f"{node.title}: running ({self.reason})")
+            console.doing(node.title, "importing and compiling")
+            scratch = store.scratch(node.stage, key)
+            with room_on_disk(store.root), store.draft(node.stage, key) as folder:
+                scratch.mkdir(parents=True, exist_ok=True)
+                folders = {name: artifact.folder for name, artifact in self.inputs.items()}
+                result = planner.run(node, folder, folders, scratch, console, jobs, executor)
+                text = json.dumps(result.json_object(), indent=1, allow_nan=False)
+                (folder / RESULT).write_text(text + "\n", encoding="utf-8")
+                artifact = store.commit(folder, self.question, planner.name, planner.device)
+            store.discard(scratch)
+            return artifact, "run", self.reason
+
+
+def elsewhere(task: Task, expected_versions: Mapping[str, str | None]) -> Outcome:
+    """The outcome of a task with absolute paths in a process that may be another machine's, on one core; its error as
+    a text, for not every error can be sent.
+
+    It fails where that process has another plant, delay law or package.
+    """
+    try:
+        if task.planner.question(task.node, task.inputs).key != task.question.key or versions() != expected_versions:
+            what = "expected the same plant, delay law and packages on every worker, got others"
+            raise ConfigError(f"{task.node.title}: {what}; install them there")
+        outcome = task.outcome(Console(quiet=True), 1, Here())
+    except NpredError as error:
+        outcome = Outcome(task.node, "failed", task.reason, 0.0, error=error)
+    return replace(outcome, error=NpredError(outcome.failure)) if outcome.error else outcome
 
 
 @dataclass(eq=False)
@@ -68,12 +176,11 @@ class Runner:
         store.
         """
         run = CellRun(0, planner, list(nodes))
-        planner.check(run.nodes)
-        _check_packages(planner, run.nodes)
+        _check(planner, run.nodes)
         # In threads: the numerical libraries release the GIL, and progress, Ctrl-C and locks are this process's.
         count = min(self.jobs, sum(node.model is not None for node in run.nodes))
         with executors.closed(Threads(count) if count > 1 else Here()) as threads:
-            self._bring([run], threads, lambda task: threads.submit(self.make, task))
+            _Graph(self, threads).bring([run])
         return [run.outcomes[node.name] for node in run.nodes]
 
     def sweep(self, planners: Sequence[Planner], targets: Collection[str]) -> list[CellRun]:
@@ -82,31 +189,30 @@ class Runner:
         Raises ConfigError for a cell that does not fit its plant and MissingError without a package, before anything
         runs.
         """
-        cells = [(planner, stage_registry.nodes(planner.config, targets)) for planner in planners]
-        runs = [CellRun(number, *cell) for number, cell in enumerate(cells)]
+        runs = [CellRun(k, planner, nodes(planner.config, targets)) for k, planner in enumerate(planners)]
         for run in runs:
-            run.planner.check(run.nodes)
-            _check_packages(run.planner, run.nodes)
+            _check(run.planner, run.nodes)
         with self.console.bar("sweep", len(runs), "cells") as bar:
-            self._bring(runs, self.executor, lambda task: self.executor.submit(elsewhere, task, packages()), bar)
+            _Graph(self, self.executor, bar).bring(runs)
         return runs
 
     def make(self, task: Task) -> Outcome:
         """The outcome of a task in this process."""
         return task.outcome(self.console, self.jobs, self.executor)
 
-    def _bring(
-        self, runs: list[CellRun], workers: Workers, submit: Callable[[Task], Future[Outcome]], bar: Bar | None = None
-    ) -> None:
-        with interruption.graceful(), claims.claimed(runs[0].planner.store.root) as claim:
-            graph = _Graph(self, workers, submit, claim, bar)
-            try:
-                graph.run(runs)
-            except BaseException:
-                self.console.stop()
-                if interruption.interrupted() and graph.under_way and not bar:
-                    wait(graph.under_way, interruption.GRACE)  # the networks end at their next report; drafts go
-                raise
+
+def _check(planner: Resolver, nodes: Sequence[Node]) -> None:
+    """Raise ConfigError where the nodes ask for what there is not, MissingError where one that has to run lacks its
+    package: before the minutes of the stages above it.
+    """
+    planner.check(nodes)
+    lacks = {name for name, stage in STAGES.items() if stage.needs and not installed(stage.needs)}
+    if not lacks.intersection(node.stage for node in nodes):
+        return
+    for step in planner.plan(nodes):
+        if step.node.stage in lacks and planner.misses(step):
+            package = STAGES[step.node.stage].needs
+            raise lacking(step.node.title, package, EXTRAS[package])
 
 
 @dataclass
@@ -118,9 +224,8 @@ class _Graph:
 
     runner: Runner
     workers: Workers
-    submit: Callable[[Task], Future[Outcome]]
-    claim: Claim
-    bar: Bar | None
+    bar: Bar | None = None
+    claim: Claim = field(init=False)  # so that gc leaves a result that is taken
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     takers: dict[str, list[CellRun]] = field(default_factory=lambda: defaultdict(list))
     queue: list[tuple[int, int, int, Task]] = field(default_factory=list)  # a heap
@@ -129,28 +234,41 @@ class _Graph:
     def __post_init__(self) -> None:
         self.screen = Console(quiet=True) if self.bar else self.runner.console
 
-    def run(self, runs: list[CellRun]) -> None:
+    def bring(self, runs: list[CellRun]) -> None:
         """All nodes into the store, or as many as can be made."""
-        for run in runs:
-            self._ask(run)
-        while self.queue or self.under_way:
-            self._start()
-            for future in executors.ended(self.under_way) if self.under_way else ():
-                task = self.under_way.pop(future)
-                self._settle(task, _outcome(future, task))
+        with interruption.graceful(), claims.claimed(runs[0].planner.store.root) as self.claim:
+            try:
+                for run in runs:
+                    self._ask(run)
+                while self.queue or self.under_way:
+                    self._start()
+                    for future in executors.ended(self.under_way) if self.under_way else ():
+                        task = self.under_way.pop(future)
+                        try:
+                            outcome = future.result()
+                        except Exception as error:  # its process did not live to give an outcome
+                            outcome = Outcome(task.node, "failed", task.reason, 0.0, error=error)
+                        self._settle(task, outcome)
+            except BaseException:
+                self.runner.console.stop()
+                if interruption.interrupted() and self.under_way and not self.bar:
+                    wait(self.under_way, interruption.GRACE)  # the networks end at their next report; drafts go
+                raise
 
     def _start(self) -> None:
         """As much as the workers do side by side; what has this process for itself when nothing else is under way."""
         while self.queue and len(self.under_way) < self.workers.count:
             task = self.queue[0][-1]
-            here = task.step.node.stage in WHOLE if self.bar else task.step.node.model is None
+            here = task.node.stage in WHOLE if self.bar else task.node.model is None
             if here and self.under_way:
                 return
             heapq.heappop(self.queue)
             if here:
                 self._settle(task, self.runner.make(task))
+            elif self.bar:
+                self.under_way[self.workers.submit(elsewhere, task, versions())] = task
             else:
-                self.under_way[self.submit(task)] = task
+                self.under_way[self.workers.submit(self.runner.make, task)] = task
 
     def _ask(self, run: CellRun) -> None:
         """Take what is there already of a pipeline's next nodes, and queue the rest, each key once."""
@@ -173,12 +291,13 @@ class _Graph:
         start, planner = time.perf_counter(), run.planner
         try:
             if self.bar:  # what differs from the closest result is not asked for every cell
-                step = Step(node, question, planner.store.get(node.stage, question.key), REASON)
+                step = Step(node, question, planner.store.get(node.stage, question.key), "of a sweep")
             else:
                 step = planner.step(node, question)
             if step.artifact is None:
-                task, turn = Task(planner, step, inputs), (WHOLE.get(node.stage, 1), run.number, run.nodes.index(node))
-                heapq.heappush(self.queue, (*turn, task.located() if self.bar else task))
+                task = Task(planner, node, question, step.reason, inputs)
+                turn = WHOLE.get(node.stage, 1), run.number, run.nodes.index(node)
+                heapq.heappush(self.queue, (*turn, task.with_absolute_paths() if self.bar else task))
                 return
             if step.reason != UP_TO_DATE and not self.bar:
                 self.claim(step.artifact.manifest.key)
@@ -192,10 +311,10 @@ class _Graph:
             self.outcomes[question.key] = Outcome(node, "failed", "", time.perf_counter() - start, error=error)
 
     def _settle(self, task: Task, outcome: Outcome) -> None:
-        self.outcomes[task.key] = outcome
+        self.outcomes[task.question.key] = outcome
         if self.bar and outcome.error:
             self.runner.console.detail(outcome.failure)
-        for run in self.takers.pop(task.key):
+        for run in self.takers.pop(task.question.key):
             self._take(run, outcome)
             self._ask(run)
 
@@ -206,22 +325,3 @@ class _Graph:
             self.bar.advance()
         elif outcome.error and not self.bar:
             raise outcome.error
-
-
-def _check_packages(planner: Resolver, nodes: Sequence[Node]) -> None:
-    """Raise MissingError where a stage that has to run lacks its package: before the minutes of the stages above it."""
-    short = {name for name, stage in STAGES.items() if stage.needs and not installed(stage.needs)}
-    if not short.intersection(node.stage for node in nodes):
-        return
-    for step in planner.plan(nodes):
-        if step.node.stage in short and planner.misses(step):
-            package = STAGES[step.node.stage].needs
-            raise lacking(step.node.title, package, EXTRAS[package])
-
-
-def _outcome(future: Future[Outcome], task: Task) -> Outcome:
-    """A task's outcome, also where its process did not live to give one."""
-    try:
-        return future.result()
-    except Exception as error:
-        return Outcome(task.step.node, "failed", task.step.reason, 0.0, error=error)

@@ -5,9 +5,9 @@ show the live view of the command line, in a notebook one output below the cell 
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -15,19 +15,19 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from npred import plants
-from npred.base import devices, registry
+from npred.base import defaults, devices, registry
 from npred.base.errors import ConfigError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import listener
 from npred.lab import config
-from npred.lab.config import Pipeline, defaults
+from npred.lab.config import Pipeline
 from npred.lab.config.results import Evaluated, Generated, Result, Trained
 from npred.lab.report.terminal import live_view
 from npred.lab.report.terminal.console import Console
 from npred.lab.scheduler import executors
+from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import remember
 from npred.lab.scheduler.runner import Runner
-from npred.lab.scheduler.stage_registry import STAGES, Planner, nodes
 from npred.lab.store import Store
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
@@ -36,12 +36,13 @@ if TYPE_CHECKING:
     from npred.lab.training.data.dataset import Dataset
 
 Kind = TypeVar("Kind", bound=Result)
+Found = TypeVar("Found", bound="StageResult[Any]")
 Source = Plant | str | Path | Pipeline
 
 
 @dataclass(frozen=True)
-class Made(InNotebook, Generic[Kind]):
-    """What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
+class StageResult(InNotebook, Generic[Kind]):
+    """The result of a stage: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
 
     `print` shows what the command line prints of it.
     """
@@ -51,13 +52,15 @@ class Made(InNotebook, Generic[Kind]):
     key: str
     action: str
     stage: str
+    plant: Plant = field(repr=False)
+    pipeline: Pipeline = field(repr=False)
 
     def __str__(self) -> str:
         return STAGES[self.stage].summary(self.result.json_object(), 120)
 
 
 @dataclass(frozen=True)
-class MadeData(Made[Generated]):
+class GenerateResult(StageResult[Generated]):
     """Rows of (X, u, D_hat) -> P from closed loops; `result` says how many there are, and which are held out."""
 
     @cached_property
@@ -69,11 +72,8 @@ class MadeData(Made[Generated]):
 
 
 @dataclass(frozen=True)
-class MadeNetwork(Made[Trained]):
+class TrainResult(StageResult[Trained]):
     """A trained network; `result` has its errors on held-out rollouts."""
-
-    plant: Plant
-    pipeline: Pipeline
 
     @cached_property
     def network(self) -> Predictor:
@@ -84,8 +84,6 @@ class MadeNetwork(Made[Trained]):
         """The same for loops on nx nodes, on a device, in a runtime: see `npred.load`."""
         from npred.lab.scheduler.models import Stored, loaded
 
-        device = devices.resolve(device)
-        devices.require(device)
         name = self.result.model
         return loaded(Stored(self.folder, name, None, self.plant, self.pipeline.train.table(name)), nx, device, runtime)
 
@@ -107,7 +105,7 @@ def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
 def generate(
     source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, jobs: int | None = None,
     progress: bool = True,
-) -> MadeData:  # fmt: skip
+) -> GenerateResult:  # fmt: skip
     """Data to train on, from closed loops with a numerical predictor: `npred generate` from Python.
 
     Parameters
@@ -126,7 +124,7 @@ def generate(
 
     Returns
     -------
-    MadeData
+    GenerateResult
         Rows of (X, u, D_hat) -> P from closed loops; `result` says how many there are, and which are held out.
 
     Raises
@@ -138,14 +136,13 @@ def generate(
     StoreError
         For corrupt results.
     """
-    chosen, run = resolved(source, settings), _Run(store, jobs, "auto", progress)
-    return MadeData(*run.bring(chosen, _remembered(source, settings), "generate"))
+    return run_stage(GenerateResult, "generate", source, settings, None, store, "auto", jobs, progress)
 
 
 def train(
     source: Source, model: str | None = None, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None,
     device: str = "auto", jobs: int | None = None, progress: bool = True,
-) -> MadeNetwork:  # fmt: skip
+) -> TrainResult:  # fmt: skip
     """A network trained to predict, on the data of `generate`: `npred train` from Python.
 
     An interrupted training goes on from its checkpoint. `network` of what it returns is a predictor.
@@ -170,7 +167,7 @@ def train(
 
     Returns
     -------
-    MadeNetwork
+    TrainResult
         A trained network; `result` has its errors on held-out rollouts.
 
     Raises
@@ -184,18 +181,14 @@ def train(
     StoreError
         For corrupt results.
     """
-    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
-    name = model or chosen.train.models[0]
-    if name not in chosen.train.names:
-        raise ConfigError(unlisted("model", name, chosen.train.names))
-    plant = run.planner(chosen).plant
-    return MadeNetwork(*run.bring(chosen, _remembered(source, settings), "train", name), plant, chosen)
+    name = model or resolved(source, settings).train.models[0]
+    return run_stage(TrainResult, "train", source, settings, name, store, device, jobs, progress)
 
 
 def evaluate(
     source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, device: str = "auto",
     jobs: int | None = None, progress: bool = True,
-) -> Made[Evaluated]:  # fmt: skip
+) -> StageResult[Evaluated]:  # fmt: skip
     """The errors of a pipeline's networks, and what closed loops make of them: `npred evaluate` from Python.
 
     What the store does not have is generated and trained first. `result.models` has the scores of each contender
@@ -219,9 +212,8 @@ def evaluate(
 
     Returns
     -------
-    Made
-        What a stage has found: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or
-        `run`.
+    StageResult
+        The result of a stage: `result`, its numbers by name; `folder` and `key` in the store; `action`, `hit` or `run`.
 
     Raises
     ------
@@ -234,54 +226,37 @@ def evaluate(
     StoreError
         For corrupt results.
     """
-    chosen, run = resolved(source, settings), _Run(store, jobs, device, progress)
-    return Made(*run.bring(chosen, _remembered(source, settings), "evaluate"))
+    return run_stage(StageResult, "evaluate", source, settings, None, store, device, jobs, progress)
 
 
-@dataclass(frozen=True)
-class _Run:
-    """Where results are kept and how they are made."""
+def run_stage(
+    kind: type[Found], stage: str, source: Source, settings: Mapping[str, Any], model: str | None,
+    store: str | Path | None, device: str, jobs: int | None, progress: bool,
+) -> Found:  # fmt: skip
+    """The result of a stage as that kind, from the store or run with all that the stage needs.
 
-    store: str | Path | None
-    jobs: int | None
-    device: str
-    progress: bool
-
-    def planner(self, chosen: Pipeline) -> Planner:
-        """The pipeline against the store."""
-        root = Path(self.store) if self.store else defaults.store()
-        return Planner(chosen, Store(root), devices.resolve(self.device))
-
-    def bring(
-        self, chosen: Pipeline, file: Path | None, stage: str, model: str | None = None
-    ) -> tuple[Any, Path, str, str, str]:
-        """The result of a stage, from the store or run with what it needs, and where it is."""
-        planner, needed, jobs = self.planner(chosen), nodes(chosen, [stage], model), self.jobs or devices.cores()
-        with ExitStack() as stack:
-            console = stack.enter_context(_console(chosen, [node.title for node in needed], self.progress))
-            devices.require(planner.device)
-            executor = stack.enter_context(executors.opened(executors.LOCAL, jobs))
-            planner.store.adopt()
-            outcomes = Runner(console, jobs, executor).run(planner, needed)
-        if file:  # so that npred gc keeps what it asked for
-            remember(planner.store, file, {done.node.name: done.artifact.manifest.key for done in outcomes})
-        done = outcomes[-1]
-        kind = STAGES[stage].result
-        return kind.read(done.artifact.folder), done.artifact.folder, done.artifact.manifest.key, done.action, stage
-
-
-def _remembered(source: Source, settings: Mapping[str, Any]) -> Path | None:
-    """The file that the results are of; with settings it does not ask for them."""
-    return None if settings else _file(source)
-
-
-@contextmanager
-def _console(chosen: Pipeline, titles: list[str], progress: bool) -> Iterator[Console]:
-    """What shows the stages: a table in a terminal, one output in a notebook, lines now and then elsewhere."""
+    On a terminal a table shows the stages, in a notebook one output, elsewhere lines now and then.
+    """
+    pipeline = resolved(source, settings)
+    if model is not None and model not in pipeline.train.names:
+        raise ConfigError(unlisted("model", model, pipeline.train.names))
+    planner = Planner(pipeline, Store(Path(store) if store else defaults.store()), devices.resolve(device))
+    needed, jobs = nodes(pipeline, [stage], model), jobs or devices.cores()
     shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
     console = shown() if progress else Console(quiet=True)
-    with listener(console.wait), console.watch(chosen.name, titles):
-        yield console
+    with ExitStack() as stack:
+        stack.enter_context(listener(console.wait))
+        stack.enter_context(console.watch(pipeline.name, [node.title for node in needed]))
+        devices.require(planner.device)
+        executor = stack.enter_context(executors.opened(executors.LOCAL, jobs))
+        planner.store.adopt()
+        outcomes = Runner(console, jobs, executor).run(planner, needed)
+    file = None if settings else _file(source)  # with settings it does not ask for the results
+    if file:  # so that npred gc keeps them
+        remember(planner.store, file, {done.node.name: done.artifact.manifest.key for done in outcomes})
+    done, artifact = outcomes[-1], outcomes[-1].artifact
+    result = STAGES[stage].result.read(artifact.folder)
+    return kind(result, artifact.folder, artifact.manifest.key, done.action, stage, planner.plant, pipeline)
 
 
 def table(source: Source) -> dict[str, Any]:

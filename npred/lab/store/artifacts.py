@@ -6,17 +6,18 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
+from datetime import datetime
 from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
 from npred.base import json_files
+from npred.base.defaults import RESULT
 from npred.base.errors import ConfigError, StoreError, disk_is_full, similar
 from npred.base.registry import NETWORKS, STAGES
-from npred.lab.config.defaults import RESULT
 from npred.lab.store import claims
-from npred.lab.store.manifest import NAME, Manifest, Question, cure, short
+from npred.lab.store.manifest import MADE, NAME, Manifest, Question, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -48,13 +49,16 @@ class Artifact:
         The time of the file counts where the manifest has none, or one that is still to come.
         """
         written = (self.folder / NAME).stat().st_mtime
-        recorded = self.manifest.made
-        return written if recorded is None or recorded > time.time() else recorded
+        try:
+            recorded = datetime.fromisoformat(self.manifest.provenance.get(MADE) or "").timestamp()
+        except (ValueError, OverflowError):
+            return written
+        return written if recorded > time.time() else recorded
 
     @property
     def size(self) -> int:
         """Bytes of payload."""
-        return self.manifest.size
+        return sum(payload.size for payload in self.manifest.files.values())
 
     def verify(self) -> Self:
         """This artifact, once every payload file is as it was written; else StoreError, naming the file."""
@@ -125,14 +129,10 @@ class Store:
     def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
         """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
         manifest = Manifest.describe(question, pipeline, draft, device)
-        (draft / NAME).write_text(manifest.text(), encoding="utf-8")
-        return self.place(draft, manifest)
-
-    def place(self, draft: Path, manifest: Manifest) -> Artifact:
-        """`commit` for a draft that has its manifest.json, and is as that says."""
+        (draft / NAME).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for path in [*draft.rglob("*"), draft]:
             json_files.sync(path)
-        target = self.root / manifest.question.stage / manifest.key
+        target = self.root / question.stage / manifest.key
         json_files.make_folder(target.parent)
         before = self._aside(target)  # what takes time, its removal, comes when the new one is there
         draft.rename(target)

@@ -10,7 +10,7 @@ import platform
 import stat
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Self
 
@@ -130,13 +130,15 @@ class Manifest(ManifestPart):
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         sizes = sorted(_files(folder))
         files = {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sizes}
+        origin = {MADE: datetime.now(UTC).isoformat(), "python": platform.python_version()}
+        origin |= {"platform": platform.platform()} | versions() | arithmetic(device)
         fields = {
             "key": question.key,
             "question": question.model_dump(),
             "files": files,
             "digest": sha256(files),
             "pipeline": pipeline,
-            "provenance": {MADE: datetime.now(UTC).isoformat()} | provenance(device),
+            "provenance": origin,  # no part of the key or of the digest
         }
         return cls.model_validate(fields | {"checksum": sha256(fields)})
 
@@ -155,26 +157,9 @@ class Manifest(ManifestPart):
         return manifest
 
     @property
-    def made(self) -> float | None:
-        """The time when it was made, in seconds since 1970; None where the manifest does not tell."""
-        try:
-            return datetime.fromisoformat(self.provenance.get(MADE) or "").timestamp()
-        except (ValueError, OverflowError):
-            return None
-
-    @property
     def circumstances(self) -> dict[str, str | None]:
         """All that the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
         return {name: value for name, value in self.provenance.items() if name != MADE}
-
-    @property
-    def size(self) -> int:
-        """Bytes of payload."""
-        return sum(payload.size for payload in self.files.values())
-
-    def text(self) -> str:
-        """The JSON that `read` takes."""
-        return self.model_dump_json(indent=1) + "\n"
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
@@ -200,11 +185,10 @@ def cure(folder: Path) -> str:
     return f"remove {folder} and run again"
 
 
-def provenance(device: str) -> dict[str, str | None]:
-    """The machine that made a result, and what its last digits depend on; no part of any key or digest."""
-    versions = packages("npred", "numpy", "torch") | {"compiler": compiler.version()}
-    here = {"python": platform.python_version(), "platform": platform.platform()}
-    return here | versions | arithmetic(device)
+@cache
+def versions() -> dict[str, str | None]:
+    """The versions that a result's bytes may depend on."""
+    return packages("npred", "numpy", "torch") | {"compiler": compiler.version()}
 
 
 def _files(folder: Path) -> Iterator[tuple[str, int]]:

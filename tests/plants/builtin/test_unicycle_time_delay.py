@@ -7,8 +7,8 @@ from varying_delays import InTime
 
 import npred
 from npred import diagnosis, plants
+from npred.base import defaults
 from npred.lab import config
-from npred.lab.config import defaults
 from npred.lab.scheduler import pipeline_fit
 from npred.lab.scheduler.configuration import identity
 from npred.prediction.methods import RK4

@@ -7,27 +7,28 @@ import pytest
 
 import npred
 from npred.lab import config
-from npred.lab.config import Evaluate, Scenario
-from npred.lab.config.conditions import scenarios
+from npred.lab.config import Evaluate, Scenario, conditions
 
 PLANT = npred.plant("activator_repressor")
 
 
 def test_the_delay_of_a_scenario():
     table = Evaluate(D=1.0)
-    drift = scenarios.delay(table, Scenario.model_validate({"name": "a", "drift": {"amplitude": 0.3, "period": 60.0}}))
-    jump = scenarios.delay(table, Scenario.model_validate({"name": "a", "jump": {"to": 1.5, "at": 30.0}}))
+    drift = conditions.true_delay(
+        table, Scenario.model_validate({"name": "a", "drift": {"amplitude": 0.3, "period": 60.0}})
+    )
+    jump = conditions.true_delay(table, Scenario.model_validate({"name": "a", "jump": {"to": 1.5, "at": 30.0}}))
     assert callable(drift) and callable(jump)
     assert [drift(t) for t in (0.0, 15.0, 45.0)] == pytest.approx([1.0, 1.3, 0.7])
     assert [jump(t) for t in (0.0, 29.99, 30.0, 60.0)] == [1.0, 1.0, 1.5, 1.5]
-    assert scenarios.delay(table, Scenario(name="a")) == 1.0
+    assert conditions.true_delay(table, Scenario(name="a")) == 1.0
 
 
 def test_scaled_parameters_are_those_of_the_truth():
     pipeline = config.parse({"plant": PLANT.name, "evaluate": {"X0": [0.03, 30.0], "truth": {"Ka": 0.05}}}, "tests")
-    scaled = scenarios.condition(PLANT, pipeline, Scenario(name="a", parameters_scale=1.1)).table.truth
+    scaled = conditions.under(PLANT, pipeline, Scenario(name="a", parameters_scale=1.1)).table.truth
     assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
-    given = scenarios.condition(PLANT, pipeline, Scenario(name="a", parameters={"Kb": 0.005})).table.truth
+    given = conditions.under(PLANT, pipeline, Scenario(name="a", parameters={"Kb": 0.005})).table.truth
     assert given == {"Ka": 0.05, "Kb": 0.005}
 
 
@@ -39,7 +40,7 @@ def test_a_scenario_may_have_a_clock():
     scenario = Scenario.model_validate({"name": "a", "actuator": "history", "timing": clock, "delay": 0.05})
     plant = npred.plant("scalar")
     predictor = npred.predictor("rk4", plant, nx=11)
-    condition = scenarios.condition(plant, pipeline, scenario)
+    condition = conditions.under(plant, pipeline, scenario)
     condition = replace(condition, D=np.full(3, condition.D))
     whole, part = condition.loops(plant, predictor), condition.part(slice(1, 3)).loops(plant, predictor)
     alone = npred.simulate(
@@ -58,7 +59,7 @@ def test_a_scenario_may_observe_the_state():
     observer = {"kind": "ekf", "outputs": ["S"], "offset": True}
     scenario = {"name": "a", "actuator": "history", "observer": observer, "resolution": [0.01]}
     plant = npred.plant("chemostat")
-    condition = scenarios.condition(plant, pipeline, Scenario.model_validate(scenario))
+    condition = conditions.under(plant, pipeline, Scenario.model_validate(scenario))
     run = condition.loops(plant, npred.predictor("rk4", plant, nx=11))
     assert run.clock is not None and np.abs(run.clock.X_hat - run.X)[:, -1].max() < 0.03
     assert np.abs(run.X[:, -1] - plant.equilibrium).max() < 0.05

@@ -221,8 +221,8 @@ def test_a_worker_that_would_give_other_rows_is_refused():
 def test_a_plant_file_is_found_from_another_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     here = config.parse({"plant": "my_plant.py:Tank"}, "tests")
-    assert here.located().plant == f"{tmp_path}/my_plant.py:Tank"
-    assert config.parse({"plant": "scalar"}, "tests").located().plant == "scalar"
+    assert here.with_absolute_paths().plant == f"{tmp_path}/my_plant.py:Tank"
+    assert config.parse({"plant": "scalar"}, "tests").with_absolute_paths().plant == "scalar"
 
 
 def test_seed_and_shares(tmp_path):

@@ -1,15 +1,24 @@
 """The results of the stages as frozen models of result.json: what each stage found, and the predictors compared."""
 
-from npred.lab.config.results.base import Generated, Number, Reported, Result, Trained
+from npred.lab.config.results.base import (
+    NO_ADAPTATION,
+    NUMERICAL,
+    Generated,
+    IdentifiedResult,
+    JudgedLoops,
+    PredictorId,
+    Reported,
+    Result,
+    Trained,
+    Tuned,
+    TunedNumber,
+    ranked,
+)
 from npred.lab.config.results.bench import Benched
 from npred.lab.config.results.certify import Certified
 from npred.lab.config.results.evaluate import Evaluated
-from npred.lab.config.results.identify import IdentifiedResult
-from npred.lab.config.results.predictor_id import NO_ADAPTATION, NUMERICAL, PredictorId, ranked
-from npred.lab.config.results.tune import JudgedLoops, Tuned, TunedNumber
 
 __all__ = [
     "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "PredictorId", "Evaluated", "Generated", "IdentifiedResult",
-    "JudgedLoops", "Number", "Reported", "Result", "Trained", "Tuned", "TunedNumber",
-    "ranked",
+    "JudgedLoops", "Reported", "Result", "Trained", "Tuned", "TunedNumber", "ranked",
 ]  # fmt: skip

@@ -1,18 +1,23 @@
 """The base class of results: the keys that a stage writes and no others, and null for a number that is not finite.
 
-And the results of the stages generate, train and report, which are short.
+And the predictors that results compare, and the results of generate, train, report, identify and `npred tune`.
 """
 
 import math
 import reprlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
 
 from npred.base import json_files, notebook
+from npred.base.defaults import RESULT
 from npred.base.errors import StoreError
-from npred.lab.config.defaults import RESULT
+from npred.base.registry import NETWORKS
+
+T = TypeVar("T")
 
 
 def _number(value: Any) -> Any:
@@ -71,6 +76,65 @@ class Result(BaseModel):
             ) from None
 
 
+@dataclass(frozen=True)
+class PredictorId:
+    """A predictor of a comparison; `epoch` is that of a snapshot, None for the final weights and for numerics.
+
+    `rank` counts the networks of a result that are not built in, by name: what tells them apart in figures.
+    """
+
+    model: str
+    epoch: int | None = None
+    rank: int = field(default=0, compare=False)
+
+    @classmethod
+    def parse(cls, name: "str | PredictorId") -> "PredictorId":
+        """The predictor of a name. Raises ValueError where what follows the @ is no epoch."""
+        if isinstance(name, PredictorId):
+            return name
+        model, at, epoch = name.rpartition("@")
+        if at and not (epoch.isascii() and epoch.isdigit()):
+            raise ValueError(f"expected an epoch after @, got {epoch!r}; for example deeponet@107")
+        return cls(model, int(epoch)) if at else cls(name)
+
+    @property
+    def name(self) -> str:
+        """Its name in results: deeponet@107, numerical, no_adaptation."""
+        return self.model if self.epoch is None else f"{self.model}@{self.epoch}"
+
+    @property
+    def label(self) -> str:
+        """Its label for people: DeepONet, epoch 107."""
+        label = NETWORKS.label(self.model) if self.is_network else self.model.replace("_", " ")
+        return label if self.epoch is None else f"{label}, epoch {self.epoch}"
+
+    @property
+    def is_network(self) -> bool:
+        """True if a network predicts."""
+        return self not in (NUMERICAL, NO_ADAPTATION)
+
+    @property
+    def adapts(self) -> bool:
+        """True if D_hat follows the delay law; without adaptation it stays at D_hat(0)."""
+        return self != NO_ADAPTATION
+
+
+def ranked(predictors: Iterable[PredictorId]) -> list[PredictorId]:
+    """The same predictors with the ranks that they have beside each other."""
+    predictors = list(predictors)
+    others = sorted({c.model for c in predictors if c.is_network} - NETWORKS.builtin.keys())
+    return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in predictors]
+
+
+def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:
+    return dict(zip(ranked(values), values.values(), strict=True))
+
+
+NUMERICAL, NO_ADAPTATION = PredictorId("numerical"), PredictorId("no_adaptation")
+Name = Annotated[PredictorId, BeforeValidator(PredictorId.parse), PlainSerializer(lambda c: c.name, return_type=str)]
+RANKED = AfterValidator(_by_ranked)  # of a table by Name
+
+
 class Generated(Result):
     """The data."""
 
@@ -98,3 +162,57 @@ class Reported(Result):
 
     summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
     bytes: int  #: of the page
+
+
+class IdentifiedResult(Result):
+    """Delays and parameters from a recording. Times are in the plant's unit."""
+
+    plant: str  #: its name
+    inputs: list[str]  #: its inputs, in the order of D
+    D: list[float]  #: the delay of each input
+    interval: list[tuple[float, float]]  #: of each delay, 95 %
+    identifiable: list[bool]  #: whether the recording determines the delay
+    parameters: dict[str, float]  #: the estimated ones
+    parameter_intervals: dict[str, tuple[Number, Number]]  #: of each parameter, 95 %
+    #: rms error of predictions on the last quarter: `model`, `no_delay`, `first_order_lag`
+    held_back: dict[str, Number]
+    sentences: list[str]  #: the result in words
+    samples: int  #: number of output samples
+    period: float  #: the median time between two samples
+    windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = None  #: t, D, interval
+
+
+class TunedNumber(Result):
+    """A number of the loop that was free."""
+
+    name: str  #: gamma, b or a parameter of the plant
+    before: float  #: the pipeline's
+    after: float  #: that of the best cost on the training starts
+    low: float  #: lower end of its range
+    high: float  #: upper end
+
+
+class JudgedLoops(Result):
+    """Loops from the same starts under the same conditions, before and after."""
+
+    loops: int  #: how many
+    cost: tuple[Number, Number]  #: mean over the loops
+    settle_time: tuple[Number | None, Number | None]  #: mean of those that settle, in the plant's unit; null for none
+    unsettled: tuple[int, int]  #: how many do not settle
+
+
+class Tuned(Result):
+    """What was gained; pairs are before, after."""
+
+    pipeline: str  #: its name
+    plant: str  #: its name
+    numbers: list[TunedNumber]  #: that were free
+    training: JudgedLoops  #: from the starts of the search
+    held_out: JudgedLoops  #: from others
+    gain: float  #: 1 - cost after / cost before on the held-out starts
+    interval: tuple[float, float]  #: of the gain with 95 %: bootstrap over the held-out initial states, in pairs
+    margin: float  #: least gain that counts
+    gained: bool  #: the gain reaches the margin, and its interval is above 0
+    evaluations: int  #: settings that were tried
+    interrupted: bool  #: the search was ended before all were
+    sentence: str  #: the answer

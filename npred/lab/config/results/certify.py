@@ -2,8 +2,7 @@
 
 from typing import Annotated
 
-from npred.lab.config.results.base import Number, Result
-from npred.lab.config.results.predictor_id import RANKED, Name
+from npred.lab.config.results.base import RANKED, Name, Number, Result
 
 
 class Certificate(Result):

@@ -4,8 +4,7 @@ from typing import Annotated
 
 from pydantic import AliasChoices, Field
 
-from npred.lab.config.results.base import Number, Result
-from npred.lab.config.results.predictor_id import RANKED, Name
+from npred.lab.config.results.base import RANKED, Name, Number, Result
 
 
 class Relative(Result):

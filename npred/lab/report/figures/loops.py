@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from npred.lab.config.conditions import condition
+from npred.lab.config import conditions
 from npred.lab.config.results import NUMERICAL, PredictorId
 from npred.lab.report.figures.evaluation_data import EvaluationData, Histogram
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, legend
@@ -144,7 +144,7 @@ def ends(evaluation: EvaluationData) -> list[Panel]:
     panels = [Panel(title, alt, _curves(t, distance, timed(plant, "t")))]
     proven = {predictor: loop for predictor, loop in evaluation.loops.items() if np.isfinite(loop.N).any()}
     if proven:
-        law = condition.adaptation(config, plant)
+        law = conditions.adaptation(config, plant)
         gamma = law.gamma if law else 1.0
         W = {c: lyapunov.W(loop.N, config.D, loop.D_hat, gamma, config.b) for c, loop in proven.items()}
         falls = "; ".join(f"{c.label} from {values[0]:.3g} to {values[-1]:.3g}" for c, values in W.items())

@@ -120,7 +120,7 @@ _TURN = Lock()  # matplotlib's settings are the process's
 
 @contextmanager
 def medium(style: Style) -> Iterator[None]:
-    """matplotlib as the style wants it, for one thread at a time, and as it was afterwards."""
+    """matplotlib in the style, for one thread at a time, and as it was afterwards."""
     import matplotlib
 
     ink, muted, grid = (ROLES[role][0] for role in ("ink", "muted", "grid"))

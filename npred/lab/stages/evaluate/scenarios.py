@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
-from npred.lab.config.conditions import EVERY, Condition, scenarios
+from npred.lab.config.conditions import EVERY, Condition, under
 from npred.lab.config.results import PredictorId
 from npred.lab.config.results.evaluate import Behaviour, Conditions
 from npred.lab.scheduler.job import Job
@@ -18,7 +18,7 @@ def run(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list[Condition
     """
     config = job.config.evaluate
     compared = {c: predictor for c, predictor in predictors.items() if c.adapts and c.epoch is None}
-    conditions = [scenarios.condition(job.plant, job.config, scenario) for scenario in config.scenarios]
+    conditions = [under(job.plant, job.config, scenario) for scenario in config.scenarios]
     steps = len(compared) * sum(condition.steps for condition in conditions)
     with job.progress.bar("scenarios", steps, "steps") as bar, job.threads() as pool:
         tasks = [

@@ -66,7 +66,7 @@ def batches(job: Job, config: Pipeline, stage: str = "generate") -> Iterator[tup
         if near:
             make = partial(rollouts.rows, config, job.plant, progress=lambda _: bar.advance(0))  # ends a thread early
         else:
-            make = partial(rollouts.elsewhere, config.located(), rollouts.surroundings(config, job.plant))
+            make = partial(rollouts.elsewhere, config.with_absolute_paths(), rollouts.surroundings(config, job.plant))
         for batch, rows in executors.completed(executor, make, ranges):
             bar.advance(len(batch))
             yield batch.start, rows

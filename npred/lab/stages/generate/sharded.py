@@ -65,7 +65,9 @@ def write(job: Job) -> int:
     ]
     missing = [batch for batch in batches if not _kept(shards_at.folder / shards.name(batch[0]))]
     about = attributes(job.plant, short_name(config.predictor))
-    make = partial(_shard, job.config.located(), rollouts.surroundings(job.config, job.plant), shards_at, about)
+    make = partial(
+        _shard, job.config.with_absolute_paths(), rollouts.surroundings(job.config, job.plant), shards_at, about
+    )
     job.progress.doing("generate", "compiling")
     with job.progress.bar("generate", config.rollouts, "rollouts") as bar:
         bar.advance(config.rollouts - sum(len(batch) for _, batch in missing))

@@ -103,7 +103,7 @@ def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
         figures=figures,
         table=_table(job.plant, result),
         facts={"Recording": {"file": Path(table.data).name, "samples": str(result.samples)}},
-        settings=toml_text.dumps({"plant": job.config.beside().plant, "identify": table.beside()}),
+        settings=toml_text.dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
     )
 
 

@@ -25,6 +25,6 @@ class Identify(Section):
     #: relative error of the other parameters; it widens the intervals
     model_error: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.05
 
-    def beside(self) -> dict[str, Any]:
+    def with_file_names(self) -> dict[str, Any]:
         """What is not left at its default, the recording being in the current folder."""
         return self.model_dump(exclude_defaults=True) | {"data": Path(self.data).name}

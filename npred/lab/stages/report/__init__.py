@@ -19,4 +19,4 @@ def key(slices: "Slices") -> dict[str, Any]:
     """The whole pipeline, which the page shows, and its labels."""
     from npred.lab.scheduler.configuration import table
 
-    return {"pipeline": table(slices.config.beside())} | slices.notation
+    return {"pipeline": table(slices.config.with_file_names())} | slices.notation

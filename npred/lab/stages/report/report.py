@@ -37,7 +37,7 @@ def run(job: Job) -> Reported:
         folded=FOLDED,
         facts=_facts(results),
         files=job.config.files,
-        settings=toml_text.dumps(job.config.beside().model_dump()),
+        settings=toml_text.dumps(job.config.with_file_names().model_dump()),
     )
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=text, bytes=len(page.encode()))

@@ -12,8 +12,8 @@ from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.formulas import programs
 from npred.formulas.trace import Trace
-from npred.lab.config import Pipeline, Scenario
-from npred.lab.config.conditions import Condition, scenarios
+from npred.lab.config import Pipeline, Scenario, conditions
+from npred.lab.config.conditions import Condition
 from npred.laws.design import Design
 from npred.laws.law import rounded
 from npred.laws.regulator import adjustable, riccati, weights
@@ -104,7 +104,7 @@ class Loops:
         seed = randomness.integer(self.pipeline.seed, "tune", self.purpose)
         table = self.pipeline.evaluate.model_copy(update={"case_states": self.states})
         drawn = self.pipeline.model_copy(update={"seed": seed, "evaluate": table})
-        return [scenarios.condition(self.plant, drawn, scenario) for scenario in (CASES, *table.scenarios)]
+        return [conditions.under(self.plant, drawn, scenario) for scenario in (CASES, *table.scenarios)]
 
     @property
     def steps(self) -> int:

@@ -13,8 +13,7 @@ import numpy as np
 
 from npred.base import randomness
 from npred.base.errors import ConfigError, unlisted
-from npred.lab.config import Pipeline, Tune
-from npred.lab.config.conditions import condition
+from npred.lab.config import Pipeline, Tune, conditions
 from npred.lab.config.results import JudgedLoops, Tuned, TunedNumber
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import Console
@@ -39,7 +38,7 @@ class Ranges:
     @classmethod
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
         """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
-        law = condition.adaptation(pipeline.evaluate, plant)
+        law = conditions.adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
         weights = LqrWeights.of(plant)
         chosen = weights.named(chosen) if weights else chosen

@@ -20,7 +20,7 @@ from npred.plants.base import Plant
 
 def save(folder: Path, operator: Operator, config: Training) -> None:
     """Write model.safetensors, model.json: the network's name and its table; and its domain."""
-    config = config.moved(lambda path: Path(path).name)
+    config = config.map_paths(lambda path: Path(path).name)
     manifest = {
         "model": config.architecture, "anchor": config.anchor, "arguments": config.arguments,
         "config": config.model_dump(mode="json"),

@@ -1,4 +1,4 @@
-"""A condition of closed loops: what a table of the pipeline file says, from which states, with which delay."""
+"""Closed loops under stated conditions, of every stage alike: starts, delays, sensors, parameters and disturbances."""
 
 import math
 from collections.abc import Callable
@@ -8,13 +8,17 @@ from typing import Any, Self
 import numpy as np
 
 from npred import plants
+from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.base.registry import DELAY_LAWS, OBSERVERS
 from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer as StateObserver
-from npred.lab.config import FROZEN, Disturbance
-from npred.lab.config import Loop as LoopTable
+from npred.lab.config.evaluate import Evaluate, Scenario
+from npred.lab.config.loop import LoopTable
+from npred.lab.config.pipeline import Generate, Pipeline
+from npred.lab.config.results import PredictorId
+from npred.lab.config.section import FROZEN
 from npred.loop import closed_loop, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop
@@ -55,14 +59,26 @@ class Condition:
     def part(self, rows: slice) -> Self:
         """Some of the loops, with the noise that they have among all."""
         X0, D, D_hat = (a[rows] for a in (self.X0, self.D, self.D_hat))
-        disturbance = self.disturbance and _of_rows(self.disturbance, rows)
+        whole = self.disturbance
+
+        def some(t: float) -> Any:
+            value = np.asarray(whole and whole(t))
+            return value[rows] if value.ndim > 1 else value  # where it differs from loop to loop
+
+        disturbance = some if whole else None
         return replace(self, X0=X0, D=D, D_hat=D_hat, first=self.first + rows.start, disturbance=disturbance)
 
     def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
         """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
         table, noise = self.table, {"seed": self.seed, "first": self.first, "observer": self.observer}
+        push = table.disturbance
+
+        def sine(t: float) -> float:
+            return push.amplitude * math.sin(push.omega * t)
+
         loop = replace(
-            described(table, plant, predictor), X0=self.X0, disturbance=self.disturbance or _push(table.disturbance),
+            described(table, plant, predictor), X0=self.X0,
+            disturbance=self.disturbance or (sine if push.amplitude else None),
             measurement=Measurement(**vars(table.measurement), **noise),
             timing=table.timing and Timing(**vars(table.timing), seed=self.seed), truth=truth(plant, table),
             **({} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}),
@@ -116,17 +132,70 @@ def truth(plant: Plant, table: LoopTable) -> Plant | None:
     return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
 
 
-def _of_rows(disturbance: Callable[[float], Any], rows: slice) -> Callable[[float], Any]:
-    """The disturbance of some of the loops, where it differs from loop to loop."""
+@dataclass(frozen=True)
+class Starts:
+    """The loops of an evaluation: first that of Fig. 1, then the cases, then the map D x D_hat(0)."""
 
-    def some(t: float) -> Any:
-        value = np.asarray(disturbance(t))
-        return value[rows] if value.ndim > 1 else value
+    X0: np.ndarray  # (B, n)
+    D: np.ndarray  # (B,)
+    D_hat0: np.ndarray  # (B,)
+    cases: slice
+    map: slice
+    repeats: int  # cases of each initial state
 
-    return some
+    def of(self, contender: PredictorId) -> int:
+        """The number of loops that a contender runs: the map only with adaptation."""
+        return len(self.D) if contender.adapts else self.cases.stop
 
 
-def _push(disturbance: Disturbance) -> Callable[[float], float] | None:
-    if not disturbance.amplitude:
-        return None
-    return lambda t: disturbance.amplitude * math.sin(disturbance.omega * t)
+def box(plant: Plant, config: Generate, data: bool = False) -> np.ndarray:
+    """The range of each initial state, (n, 2).
+
+    Experiments start in the plant's, and in the pipeline's where the plant has none. Of data the pipeline's comes
+    first: it may be wider, so that a network sees what its loops lead to.
+    """
+    ranges = plant.box | config.box if data else config.box | plant.box
+    return np.array([ranges[name] for name in plant.states], dtype=float)
+
+
+def starts(pipeline: Pipeline, plant: Plant) -> Starts:
+    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map.
+
+    Of a plant that declares its delay the random states alone: D and D_hat(0) mean nothing there.
+    """
+    config, ranges = pipeline.evaluate, box(plant, pipeline.generate)
+    rng = randomness.generator(pipeline.seed, "evaluate", "cases")
+    states = rng.uniform(ranges[:, 0], ranges[:, 1], (config.case_states, plant.n))
+    D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
+    estimates = config.case_D_hat0[: 1 if plant.declares_delay else None]
+    cases, cells = config.case_states * len(estimates), D.size
+    return Starts(
+        np.concatenate([[config.X0], np.repeat(states, len(estimates), 0), np.tile(config.X0, (cells, 1))]),
+        np.concatenate([np.full(1 + cases, config.D), D.ravel()]),
+        np.concatenate([[config.D_hat0], np.tile(estimates, config.case_states), D_hat0.ravel()]),
+        slice(1, 1 + cases),
+        slice(1 + cases, 1 + cases + cells),
+        len(estimates),
+    )
+
+
+def under(plant: Plant, pipeline: Pipeline, scenario: Scenario) -> Condition:
+    """The cases of [evaluate] under the scenario."""
+    table = pipeline.evaluate.under(scenario)
+    if scale := scenario.parameters_scale:
+        scaled = {name: scale * value for name, value in (plant.parameters | table.truth).items()}
+        table = table.model_copy(update={"truth": scaled})
+    begin = starts(pipeline.model_copy(update={"evaluate": table}), plant)
+    seed = randomness.integer(pipeline.seed, "scenarios")
+    X0, D_hat = begin.X0[begin.cases], begin.D_hat0[begin.cases]
+    return Condition(table, X0, true_delay(table, scenario), D_hat, table.case_t_end, seed)
+
+
+def true_delay(config: Evaluate, scenario: Scenario) -> Callable[[float], float] | float:
+    """The true delay in seconds: D, or a function of t."""
+    D, drift, jump = config.D, scenario.drift, scenario.jump
+    if drift:
+        return lambda t: D + drift.amplitude * math.sin(2 * math.pi * t / drift.period)
+    if jump:
+        return lambda t: D if t < jump.at else jump.to
+    return D

@@ -3,7 +3,7 @@
 from conftest import settings_of
 
 from npred.lab import config
-from npred.lab.scheduler.stage_registry import nodes, usual
+from npred.lab.scheduler.plan import nodes, usual
 
 LAW = """
 from npred import DelayLaw
@@ -24,8 +24,9 @@ def test_each_key_of_a_real_loop_enters_the_question():
     plain = evaluate_question()
     defaults = {"actuator": "measured", "measurement": {"noise": 0.0}, "disturbance": {"omega": 1.0}, "truth": {}}
     assert evaluate_question(evaluate=defaults | {"scenarios": []}) == plain
-    for key, value in {"actuator": "history", "measurement": {"noise": 0.1}, "truth": {"a": 0.6},
-                       "disturbance": {"amplitude": 0.1}, "scenarios": [{"name": "a"}]}.items():  # fmt: skip
+    others = {"actuator": "history", "measurement": {"noise": 0.1}, "truth": {"a": 0.6}}
+    others |= {"disturbance": {"amplitude": 0.1}, "scenarios": [{"name": "a"}]}
+    for key, value in others.items():
         changed = evaluate_question(evaluate={key: value})
         assert {name for name in changed if changed[name] != plain[name]} == {key}
 

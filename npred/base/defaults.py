@@ -21,7 +21,7 @@ def store() -> Path:
 
 def shipped() -> dict[str, Path]:
     """The pipelines that are part of npred, by name: in a wheel beside its modules, in a clone in pipeline/."""
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[1]
     folders = (package / "pipelines", package.parent / "pipeline")
     folder = next((folder for folder in folders if folder.is_dir()), folders[0])
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
