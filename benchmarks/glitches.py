@@ -186,7 +186,7 @@ def noisy(name: str, noise: float, gate: float | None) -> str:
         try:
             return controller.step(X).copy()
         finally:
-            missed += controller.missed > 0
+            missed += controller.status.missed > 0
 
     run = loop(controller, step, D, t_end, lambda i, X, half: X * (1 + noise * draws.standard_normal(len(X))))
     return f"{name:22} {missed:6} of {len(run) - 1} samples not believed, {int(run[-1])} steps refused"

@@ -233,7 +233,7 @@ def runs(controller: Controller, seed: int, count: int = 6, length: int = 150) -
 
 def drawn(controller: Controller, random: np.random.Generator, length: int) -> self_test.Test:
     """A run of calls at random."""
-    if not controller.settings.recalls:
+    if not controller.settings.reads_commands:
         return measured(controller, random, length)
     world, player, rows = self_test._World(controller, 1.0), self_test._Player(controller, np.zeros(0)), []
     world.random, shift, old = random, 0.0, len(controller.memory.held)

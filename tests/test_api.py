@@ -14,7 +14,7 @@ from npred.prediction.methods import RK4
 
 
 def test_public_names_are_the_documented_ones():
-    names = {"DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Measurement", "Predictor"}
+    names = {"DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Loop", "Measurement", "Predictor"}
     names |= {"SafetyFilter", "Timing", "Watchdog", "compare", "delay_margin", "export"}
     names |= {"as_iosystem", "controller", "guarded", "load", "plant", "predictor", "simulate"}
     names |= {"evaluate", "generate", "identify", "train"}

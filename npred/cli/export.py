@@ -13,7 +13,7 @@ from npred.base import defaults, grid
 from npred.base.errors import ConfigError
 from npred.cli.options import Exporting, ExportingLoop, argument, flag, writable, writable_folder
 from npred.estimation.adaptation import DelayAdaptation
-from npred.exports import FORMATS, TrainedNetwork, WholeController
+from npred.exports import FORMATS, NetworkAlone, WholeController
 from npred.guard.guarded import Guarded
 from npred.lab import config
 from npred.lab.config import Evaluate, conditions
@@ -54,7 +54,7 @@ def format_command(form: str) -> Callable[..., None]:
         if output is not None:
             writable(output) if declared.suffix else writable_folder(output, form)
         if isinstance(options, ExportingLoop):
-            of: WholeController | TrainedNetwork = _loop(options, key, values["precision"])
+            of: WholeController | NetworkAlone = _loop(options, key, values["precision"])
             path = output or Path(values["name"] + declared.suffix)
         else:
             of = _network(options, key)
@@ -78,7 +78,7 @@ def format_command(form: str) -> Callable[..., None]:
     return write
 
 
-def _network(options: Exporting, key: str) -> TrainedNetwork:
+def _network(options: Exporting, key: str) -> NetworkAlone:
     """A trained model, and held-out samples of its data on as many nodes; a time that is not known is 0."""
     nx, stored = options.nx or NX, load_model(key, options.store, options.set)
     operator = weights.read(stored.folder, stored.plant, stored.snapshot, np.float32, stored.config)
@@ -91,7 +91,7 @@ def _network(options: Exporting, key: str) -> TrainedNetwork:
     held_out = shards.survey(data.verify().folder / "data.h5").subset(test=True)
     rows = np.linspace(0, len(held_out) - 1, min(COMPARED, len(held_out))).astype(int)
     u, t = grid.means(held_out.u[rows], nx), np.nan_to_num(held_out.t[rows])
-    return TrainedNetwork(operator, stored.plant, nx, (held_out.X[rows], u, held_out.D_hat[rows], t), stored.model)
+    return NetworkAlone(operator, stored.plant, nx, (held_out.X[rows], u, held_out.D_hat[rows], t), stored.model)
 
 
 def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:

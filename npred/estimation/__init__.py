@@ -1,1 +1,1 @@
-"""What is not measured: the delay and the state."""
+"""Estimates of the delay and the state, which are not measured."""

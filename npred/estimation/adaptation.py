@@ -16,7 +16,7 @@ from npred.prediction.delays import problem_of
 from npred.prediction.delays.family import Kernel
 
 STARTS, SPAN, SETTLING = 16, 20.0, 5.0  # starts of the box, and how long they are followed: delays, time constants
-CELLS = (200, 800)  # of that time; more where fewer leave the finite numbers
+CELLS = (200, 800)  # parts of that time; more where fewer leave the finite numbers
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,12 @@ class DelayAdaptation(DelayLaw):
         named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
         X, u, P, D_hat = (array_checks.floats(name, a) for name, a in named)
         self.check(plant)
-        _check(plant, X, u, P)
+        nx = u.shape[-2] if u.ndim > 1 else 0
+        for name, a, last in (("u", u, (max(nx, 2), plant.m)), ("P", P, (nx, plant.n)), ("X", X, (plant.n,))):
+            if a.shape[-len(last) :] != last:  # the kernel would read past the end of such an array
+                axes = ", ".join(["...", *["nx"] * (len(last) - 1), str(last[-1])])
+                what = f"expected shape ({axes}), nx >= 2 the same in u and P"
+                raise ConfigError(f"{name}: {what}, got {a.shape}; reshape")
         shape = array_checks.batch(X=X.shape[:-1], u=u.shape[:-2], P=P.shape[:-2], D_hat=D_hat.shape)
         lanes = [np.broadcast_to(a, (*shape, *a.shape[a.ndim - k :])) for a, k in ((X, 1), (u, 2), (P, 2), (D_hat, 0))]
         rows = (a.reshape(-1, *a.shape[len(shape) :]) for a in lanes)
@@ -103,15 +108,6 @@ class DelayAdaptation(DelayLaw):
         phi, N = np.empty(count), np.empty(count)
         update_law(plant)(P, X, u, D_hat, float(t), plant.p, self.b, phi, N)
         return phi.reshape(shape)
-
-
-def _check(plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray) -> None:
-    """The kernel reads what the shapes promise: a wrong one would be read past its end."""
-    nx = u.shape[-2] if u.ndim > 1 else 0
-    for name, a, last in (("u", u, (max(nx, 2), plant.m)), ("P", P, (nx, plant.n)), ("X", X, (plant.n,))):
-        if a.shape[-len(last) :] != last:
-            axes = ", ".join(["..."] + ["nx"] * (len(last) - 1) + [str(last[-1])])
-            raise ConfigError(f"{name}: expected shape ({axes}), nx >= 2 the same in u and P, got {a.shape}; reshape")
 
 
 def undeclared(plant: Plant) -> str:

@@ -137,34 +137,32 @@ def delay(D: Any, D_hat: Any = 0.0) -> float:
 
 
 class Part(NamedTuple):
-    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds.
-
-    What a law does without is None.
-    """
+    """The laws as the time loop runs them: U, then phi and N on lanes, and D_hat += gamma phi dt within the bounds."""
 
     control: Kernel | None
-    update: Kernel | None
-    gamma: float
-    b: float
     bounds: np.ndarray
-    compiled: bool
-    observe: Kernel | None
-    settings: np.ndarray
-    memory: int
+    update: Kernel | None = None
+    gamma: float = 0.0
+    b: float = 1.0
+    compiled: bool = True
+    observe: Kernel | None = None
+    settings: np.ndarray = np.zeros(0)
+    memory: int = 1
 
 
 def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
     """The laws' part of a control step of dt seconds; None freezes D_hat."""
-    idle, watch = (None, 0.0, 1.0), (None, np.zeros(0), 1)
+    control = control_law(plant)
     if law is None:
-        return Part(control_law(plant), *idle, np.array((0.0, np.inf)), True, *watch)
+        return Part(control, np.array((0.0, np.inf)))
     bounds = np.array(law.bounds, dtype=float)
     if observer := law.observer(plant, dt):
-        return Part(control_law(plant), *idle, bounds, True, *observer)
+        observe, settings, memory = observer
+        return Part(control, bounds, observe=observe, settings=settings, memory=memory)
     kernel = law.kernel(plant)
     if kernel is None:
-        return Part(control_law(plant), _interpreted(law, plant), 1.0, law.b, bounds, False, *watch)
-    return Part(control_law(plant), kernel, law.gamma, law.b, bounds, True, *watch)
+        return Part(control, bounds, _interpreted(law, plant), 1.0, law.b, compiled=False)
+    return Part(control, bounds, kernel, law.gamma, law.b)
 
 
 @cache
@@ -174,30 +172,24 @@ def control_law(plant: Plant) -> Kernel:
 
 
 def _interpreted(law: DelayLaw, plant: Plant) -> Kernel:
-    """The law on the loop's memory: phi = rate, N unknown."""
+    """The law on the loop's memory: phi = rate, N unknown. It raises ConfigError, with the line of the law's file,
+    where the law fails or returns anything but D_hat' (B,), or one for all.
+    """
+    location = f"adaptation {type(law).__name__}: rate ({source_lines.line(law.rate)})"
 
     def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
-        phi[:] = _rates(law, plant, family.rows(X, u, P, D_hat), t)
+        try:
+            X, u, P, rows = family.rows(X, u, P, D_hat)
+            returned = law.rate(plant, X, u, P, rows, t)
+            rates = np.asarray(returned, dtype=float)
+        except ConfigError:
+            raise
+        except Exception as error:
+            reason = f"failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}"
+            raise ConfigError(f"{location} {reason}; let it return D_hat' (B,)") from None
+        if returned is None or not array_checks.fits(rates.shape, D_hat.shape):
+            came = None if returned is None else rates.shape
+            raise ConfigError(f"{location} expected to return {D_hat.shape}, one per loop, got {came}; return that")
+        phi[:] = rates
 
     return step
-
-
-def _rates(law: DelayLaw, plant: Plant, lanes: list[np.ndarray], t: float) -> np.ndarray:
-    """D_hat' (B,) or one for all. Raises ConfigError, with the line of the law's file, where the law fails."""
-    X, u, P, D_hat = lanes
-    try:
-        returned = law.rate(plant, X, u, P, D_hat, t)
-        rates = np.asarray(returned, dtype=float)
-    except ConfigError:
-        raise
-    except Exception as error:
-        reason = f"failed{source_lines.where(error, law.rate)}: {source_lines.one_line(error)}"
-        raise ConfigError(f"{_location(law)} {reason}; let it return D_hat' (B,)") from None
-    if returned is None or not array_checks.fits(rates.shape, D_hat.shape):
-        came = None if returned is None else rates.shape
-        raise ConfigError(f"{_location(law)} expected to return {D_hat.shape}, one per loop, got {came}; return that")
-    return rates
-
-
-def _location(law: DelayLaw) -> str:
-    return f"adaptation {type(law).__name__}: rate ({source_lines.line(law.rate)})"

@@ -39,7 +39,7 @@ from npred.plants.black_box import difference
 from npred.prediction.delays import family, problem_of
 from npred.prediction.methods.runge_kutta import Heun
 
-NUMBERS = 8  # of the settings, as npred/kernels/c/candidates.h has them; behind them shifts and thetas
+NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class DelayObserver(DelayLaw):
         follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
         settings = [count, *follow, leak, fade, 2 * self.window / dt, *self.bounds]
         kernel = (_traced if plant.traced else _called)(plant, count)
-        size = count * (3 * n + m) + 3 * n + 3  # of the struct Bank
+        size = count * (3 * n + m) + 3 * n + 3  # numbers of the struct Bank
         return kernel, np.array([*settings, *shifts, *thetas], dtype=float), size
 
 
@@ -171,7 +171,7 @@ def _called(plant: Plant, count: int) -> Callable[..., None]:
 
 
 def bank(n: int, m: int, count: int) -> tuple[Kernel, Kernel]:
-    """What is the same for all plants: the gains of the samples, before the observers step, and the choice after it."""
+    """The kernels that all plants share: gains of the samples, before the observers step, and the choice after it."""
     sizes, before = {"N": n, "M": m}, [skeleton("candidates.h")]
     kinds = {"gains": ("dt, X, law, &memory, &gain", 1), "choose": ("X, law, &memory, gain, &D_hat", 0)}
     gains, choose = (

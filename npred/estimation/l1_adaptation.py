@@ -46,10 +46,8 @@ class L1Adaptation(DelayLaw):
         """Raise ConfigError where the plant is not traced, or has no one delay to estimate, as for the paper's law."""
         problem_of(plant).needs("adaptation")
         if not plant.traced:
-            raise ConfigError(
-                f"adaptation L1Adaptation: expected a plant that is traced, {plant.name} says traced = False; "
-                "take DelayAdaptation"
-            )
+            what = f"expected a plant that is traced, {plant.name} says traced = False"
+            raise ConfigError(f"adaptation L1Adaptation: {what}; take DelayAdaptation")
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float

@@ -1,6 +1,6 @@
 """One export: a controller, or its network alone, as files for another program, on the command line and from Python.
 
-A new format is a file in npred/networks with a function (of, path, *, its options) -> Exported, and its entry in
+A new format is a file in npred/exports with a function (of, path, *, its options) -> Exported, and its entry in
 FORMATS. From there come the command `npred export FORMAT` with its flags, and the keywords that `export` takes.
 """
 
@@ -95,7 +95,7 @@ class WholeController:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What a JSON document says about the controller."""
+        """The facts of the controller in a JSON document."""
         controller, predictor = self.controller, self.controller.predictor
         return {
             "plant": controller.plant.name,
@@ -107,7 +107,7 @@ class WholeController:
 
 
 @dataclass(frozen=True)
-class TrainedNetwork:
+class NetworkAlone:
     """A trained network to export, the number of its nodes, and samples (X, u, D_hat, t) that its file is tested on."""
 
     operator: "TrainedOperator"
@@ -118,11 +118,11 @@ class TrainedNetwork:
 
     @property
     def facts(self) -> dict[str, object]:
-        """What a JSON document says about the network."""
+        """The facts of the network in a JSON document."""
         return {"model": self.name, "nx": self.nx}
 
     def exported(self, path: Path, errors: tuple[float, float] | None) -> Exported:
-        """What is said of a file whose P and U differ so much from the network's, and its P from the predictor; None
+        """The words about a file whose P and U differ so much from the network's, and its P from the predictor; None
         where the file could not be run.
         """
         line, count = f"P and U of {self.name} on {self.nx} nodes", len(self.samples[0])
@@ -134,7 +134,7 @@ class TrainedNetwork:
 
 
 def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Exported]:
-    """A function that writes a WholeController or a TrainedNetwork to a path in a format, with these of its options.
+    """A function that writes a WholeController or a NetworkAlone to a path in a format, with these of its options.
 
     Raises ConfigError for an option that the format has not, MissingError for a package that is not there; the function
     raises ConfigError for a part that has no such form and for a place where nothing can be written.
@@ -151,14 +151,13 @@ def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Expor
     values = {name: option.default for name, option in declared.options.items()} | dict(options)
     function = attribute(declared.target, f"export {form}", declared.extra)
 
-    def write(of: WholeController | TrainedNetwork, path: Path) -> Exported:
+    def write(of: WholeController | NetworkAlone, path: Path) -> Exported:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             return function(of, path, **values)
         except OSError as error:
-            raise ConfigError(
-                f"path: expected a place to write, got '{path}': {error.strerror}; name another"
-            ) from None
+            came = f"got '{path}': {error.strerror}"
+            raise ConfigError(f"path: expected a place to write, {came}; name another") from None
 
     return write
 
@@ -203,15 +202,14 @@ def export(controller: "Controller", form: str, path: str | Path, **options: Any
     if form not in FORMATS:
         raise ConfigError(unlisted("form", form, FORMATS))
     write = writer(form, options)
-    of: WholeController | TrainedNetwork = WholeController(controller, X0=controller.plant.target(0.0))
+    of: WholeController | NetworkAlone = WholeController(controller, X0=controller.plant.target(0.0))
     if FORMATS[form].network:
         predictor = bare(controller.predictor)
         operator: Any = getattr(predictor, "operator", None)
         if operator is None or operator.domain is None:
-            raise ConfigError(
-                f"export {form}: expected a controller with a trained network, got {predictor!r}; npred.load one"
-            )
+            what = f"expected a controller with a trained network, got {predictor!r}"
+            raise ConfigError(f"export {form}: {what}; npred.load one")
         domain = operator.domain  # which has some rows of the data
         samples = domain.X, grid.means(domain.u, predictor.nx), domain.D_hat, np.nan_to_num(domain.t)
-        of = TrainedNetwork(operator, controller.plant, predictor.nx, samples, predictor.name)
+        of = NetworkAlone(operator, controller.plant, predictor.nx, samples, predictor.name)
     return write(of, Path(path)).files

@@ -21,11 +21,12 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-LIMITS = {"float": 1e-4, "double": 1e-10}  # of the test in the file, times what it amplifies rounding errors by
+LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = "recalls keeps gated observer_count offsets watched holds output_count end_count pulls filter_count"
+FLAGS = "reads_commands stores_commands gated offsets watched holds pulls"
+COUNTS = "observer_count output_count end_count filter_count"
 ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
 
 
@@ -44,10 +45,8 @@ def sources(
         raise ConfigError(unlisted("precision", precision, PRECISIONS))
     problem_of(controller.plant).needs(WHAT)
     if not controller.predictor.compiled:
-        raise ConfigError(
-            f"{WHAT}: expected a predictor that is compiled, got {controller.predictor.name}; take a numerical one, or "
-            'load the network with runtime = "fused"'
-        )
+        what = f"expected a predictor that is compiled, got {controller.predictor.name}"
+        raise ConfigError(f'{WHAT}: {what}; take a numerical one, or load the network with runtime = "fused"')
     if controller.parts["update"] and not isinstance(controller.parts["update"], Kernel):
         law = type(controller.adaptation).__name__
         raise ConfigError(f"{WHAT}: expected a delay law that is compiled, {law} runs in Python; take another")
@@ -58,8 +57,8 @@ def sources(
         parts = parts | {"predict": fused.on(network.nx)}
     kernels = {part: kernel for part, kernel in parts.items() if kernel}
     variants = {
-        "RECALLS": bool(controller.settings.recalls),
-        "KEEPS": controller.keeps_commands,
+        "READS_COMMANDS": bool(controller.settings.reads_commands),
+        "KEEPS_COMMANDS": controller.keeps_commands,
         "WATCHES": "observe" in kernels,
         "FILTERS": controller.observer is not None,
         "TUNABLE": tunable,
@@ -68,10 +67,13 @@ def sources(
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
     sizes = _sizes(controller, kernels, variants)
+    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
+    texts = [text for kernel in kernels.values() for text in kernel.texts]
+    text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
-        "kernels": _kernels(kernels, precision),
+        "kernels": single(text) if precision == "float" else text,
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
         "test": _test(controller, precision),
     }
@@ -97,7 +99,7 @@ def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exp
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
     low, high = controller.settings.bounds.tolist()
-    return low, min(high, controller.longest_D_hat) if controller.settings.recalls else high
+    return low, min(high, controller.longest_D_hat) if controller.settings.reads_commands else high
 
 
 def digest(header: str) -> str:
@@ -110,24 +112,16 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
     sizes |= {"N_OUTPUTS": len(controller.outputs)}
-    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS"] else {}
+    sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS_COMMANDS"] else {}
     sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
     sizes |= {"ENDS": len(z.moments)} if variants["PROTECTS"] else {}
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
-    states = controller.plant.n + 3 * controller.plant.m  # of a model that goes on from a sample
+    states = controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 2 * settings.output_count
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
-
-
-def _kernels(kernels: Mapping[str, Kernel], real: str) -> str:
-    """The kernels and the step, as the loop runs them here, with one lane."""
-    texts = [text for kernel in kernels.values() for text in kernel.texts]
-    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
-    text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))
-    return single(text) if real == "float" else text
 
 
 def _settings(
@@ -144,7 +138,7 @@ def _settings(
     arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
     values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
-    values |= {name: str(int(getattr(settings, name))) for name in FLAGS.split()}
+    values |= {name: str(int(getattr(settings, name))) for name in f"{FLAGS} {COUNTS}".split()}
     values |= {name: f"({real} *)the_{name}" for name in ARRAYS.split()}
     shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
@@ -158,7 +152,7 @@ def _settings(
 
 
 def _about(controller: Controller, real: str, model: str) -> list[str]:
-    """What the controller is made of, for the head of the file."""
+    """The parts of the controller, for the head of the file."""
     plant = controller.plant
     law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
     units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
@@ -181,9 +175,9 @@ def _test(controller: Controller, real: str) -> str:
     arrays = {"X": test.X, "U": U, "D_hat": D_hat, "size": np.append(np.where(size > 0, size, 1.0), D_hat.max() or 1.0)}
     arrays |= {"u": test.u} if test.u.size else {}
     vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
-    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.recalls else {})
+    stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
-    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # of a network
+    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"

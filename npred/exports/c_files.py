@@ -36,7 +36,7 @@ def filled(
 def decided(text: str, variants: Mapping[str, bool]) -> str:
     """The text without the branches `#if NAME`, `#else` that do not hold, and without the lines of these conditions."""
     lines: list[str] = []
-    around: list[bool | None] = []  # of each condition around a line whether it holds; None: the compiler decides it
+    around: list[bool | None] = []  # whether each condition around a line holds; None: the compiler decides it
     for line in text.splitlines():
         word, _, condition = line.partition(" ")
         if word.startswith("#if"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred.base import grid
 from npred.base.errors import NpredError
-from npred.exports import Exported, TrainedNetwork, c_files
+from npred.exports import Exported, NetworkAlone, c_files
 from npred.formulas.tape import Vector
 from npred.formulas.trace import Trace
 from npred.kernels.c_text import comment, constant
@@ -23,10 +23,10 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 
 TESTED = 4  # samples of the test vector
-LIMIT = 1e-4  # of a state's or an input's size: the difference from the model that single precision makes
+LIMIT = 1e-4  # times a state's or an input's size: the difference from the model that single precision makes
 
 
-def export(of: TrainedNetwork, path: Path) -> Exported:
+def export(of: NetworkAlone, path: Path) -> Exported:
     """Write the C file of a network, its first TESTED samples as its test vector.
 
     Where there is a C compiler, the file is compiled and run before it is kept. Raises NpredError for a file that

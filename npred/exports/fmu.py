@@ -6,8 +6,8 @@ the inputs as they stand, and the outputs are those of the last one.
 """
 
 import hashlib
+import io
 import json
-import os
 import platform
 import sys
 import tempfile
@@ -46,7 +46,7 @@ ABILITIES = {
     3: "canGetAndSetFMUState canSerializeFMUState canHandleVariableCommunicationStepSize",
 }
 LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
-PARAMETERS = ("tunable", "fixed")  # of the roles, which are these, input, output and independent
+PARAMETERS = ("tunable", "fixed")  # these roles; the others are input, output and independent
 NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
 NO_PLACE = "sources only, for FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
 
@@ -113,14 +113,20 @@ def export(
     texts |= {file: c_files.filled(file, name, precision) for file in ("instance.h", "calls.h", f"fmi{fmi}.c")}
     sources = [f"{name}.c", f"fmi{fmi}.c"]
     undated = _description(of, listed, fmi, name, "", sources)
-    digest = hashlib.sha256("\0".join([*texts.values(), undated]).encode()).hexdigest()  # of all that it is made of
+    digest = hashlib.sha256("\0".join([*texts.values(), undated]).encode()).hexdigest()
     token = "{" + "-".join(digest[i:j] for i, j in ((0, 8), (8, 12), (12, 16), (16, 20), (20, 32))) + "}"
     texts["variables.h"] = _header(controller, listed, name, token)
     files: dict[str, str | bytes] = {"modelDescription.xml": _description(of, listed, fmi, name, token, sources)}
     files |= {place: _compiled(texts, sources, target) for place, target in places.items()}
     files |= {f"sources/{file}": text for file, text in texts.items()}
-    files |= {"sources/buildDescription.xml": _build_description(name, sources)} if fmi == 3 else {}
-    _archive(path, files)
+    if fmi == 3:
+        root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+        configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
+        file_set = ET.SubElement(configuration, "SourceFileSet", language="C99")
+        _each(file_set, "SourceFile", {file: {} for file in sources})
+        _each(configuration, "Library", {"m": {}})
+        files["sources/buildDescription.xml"] = _text(root)
+    path.write_bytes(_archive(files))
     without = NO_PLACE if c_files.compiler() else NO_LIBRARY
     holds = f"{', '.join(places)} and sources" if places else without
     facts = {"libraries": list(places), "token": token, "variables": [variable.name for variable in listed]}
@@ -160,21 +166,15 @@ def _compiled(texts: Mapping[str, str], sources: Sequence[str], target: str) -> 
         return library.read_bytes()
 
 
-def _archive(path: Path, files: Mapping[str, str | bytes]) -> None:
-    """Write the zip archive, its entries in this order, without the time: the same files give the same bytes."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as target, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, content in files.items():
-                entry = zipfile.ZipInfo(name)  # of the year 1980, as zip counts from there
-                entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
-                archive.writestr(entry, content)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-    if sys.platform != "win32":
-        path.chmod(0o644)
+def _archive(files: Mapping[str, str | bytes]) -> bytes:
+    """The zip archive, its entries in this order, without the time: the same files give the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name)  # its date is 1980, where zip begins
+            entry.compress_type, entry.external_attr, entry.create_system = zipfile.ZIP_DEFLATED, 0o644 << 16, 3
+            archive.writestr(entry, content)
+    return buffer.getvalue()
 
 
 def _description(
@@ -235,15 +235,6 @@ def _describe(variable: Variable, reference: int, elements: ET.Element, version:
     ET.SubElement(element, "Boolean" if variable.boolean else "Real", number)
 
 
-def _build_description(name: str, sources: Sequence[str]) -> str:
-    """sources/buildDescription.xml of FMI 3.0."""
-    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    _each(ET.SubElement(configuration, "SourceFileSet", language="C99"), "SourceFile", {key: {} for key in sources})
-    _each(configuration, "Library", {"m": {}})
-    return _text(root)
-
-
 def _each(parent: ET.Element, kind: str, named: Mapping[str, dict[str, str]]) -> None:
     """An element for each name, with its other attributes."""
     for name, attributes in named.items():
@@ -267,9 +258,8 @@ def variables(controller: Controller, X0: ArrayLike, arrays: bool) -> list[Varia
     listed = [*_inputs(controller, X0, arrays), *_outputs(controller), *_parameters(controller)]
     names = [variable.name for variable in listed]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(
-            f"export fmu: expected different names of variables, got {doubled[0]!r} twice; rename that state or input"
-        )
+        what = f"expected different names of variables, got {doubled[0]!r} twice"
+        raise ConfigError(f"export fmu: {what}; rename that state or input")
     return listed
 
 
@@ -296,46 +286,47 @@ def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Va
 
 
 def _outputs(controller: Controller) -> Iterator[Variable]:
-    """U, what it is made of, and, where commands are recalled, what npred.loop.status says of the last control step."""
-    plant = controller.plant
+    """U, what it is made of, and, where commands are read, what npred.loop.status says of the last control step."""
+    plant, units, time = controller.plant, controller.plant.units, controller.plant.time_unit
+
+    def output(name: str, block: str, about: str, unit: str = "", start: float = 0.0) -> Variable:
+        return Variable(name, "output", block, (start,), about, unit)
+
+    def flag(name: str, about: str) -> Variable:
+        return Variable(name, "output", name.upper(), (0.0,), about, boolean=True)
+
     for name, value in zip(plant.inputs, controller.u0.tolist(), strict=True):
-        yield Variable(name, "output", "U", (value,), "command", plant.units.get(name, ""))
-    yield Variable("D_hat", "output", "D_HAT", (controller.D_hat,), "estimated delay", plant.time_unit)
+        yield output(name, "U", "command", units.get(name, ""), value)
+    yield output("D_hat", "D_HAT", "estimated delay", time, controller.D_hat)
     for name in plant.states:
-        about = "predicted state, when the command acts"
-        yield Variable(f"predicted.{name}", "output", "P", (0.0,), about, plant.units.get(name, ""))
+        yield output(f"predicted.{name}", "P", "predicted state, when the command acts", units.get(name, ""))
     if isinstance(controller.predictor, Guarded):
-        about = "whether the numerical predictor answered"
-        yield Variable("fallback", "output", "FALLBACK", (0.0,), about, boolean=True)
-        yield Variable("error", "output", "ERROR", (0.0,), "the guard's estimate of the error of the command")
+        yield flag("fallback", "whether the numerical predictor answered")
+        yield output("error", "ERROR", "the guard's estimate of the error of the command")
     if controller.actuator != "history":
         return
-    about = "age of the last sample that was used; -1 before the first"
-    yield Variable("age", "output", "AGE", (-1.0,), about, plant.time_unit)
-    yield Variable("late", "output", "LATE", (0.0,), "samples so far that came after a newer one, or were too old")
-    yield Variable("refused", "output", "REFUSED", (0.0,), "samples so far that were not believed")
+    yield output("age", "AGE", "age of the last sample that was used; -1 before the first", time, -1.0)
+    yield output("late", "LATE", "samples so far that came after a newer one, or were too old")
+    yield output("refused", "REFUSED", "samples so far that were not believed")
     if controller.observer:
-        about = "how often the observer of the state was lost and began anew"
-        yield Variable("renewed", "output", "RENEWED", (0.0,), about)
+        yield output("renewed", "RENEWED", "how often the observer of the state was lost and began anew")
     if controller.parts["observe"]:
-        about = "half the range of the delays that fit as well"
-        yield Variable("D_hat_spread", "output", "SPREAD", (controller.status.D_hat_spread,), about, plant.time_unit)
+        spread = controller.status.D_hat_spread
+        yield output("D_hat_spread", "SPREAD", "half the range of the delays that fit as well", time, spread)
     if controller.watchdog:
-        about = "whether the watchdog has the command"
-        yield Variable("handed_over", "output", "HANDED_OVER", (0.0,), about, boolean=True)
+        yield flag("handed_over", "whether the watchdog has the command")
     if controller.safety:
-        yield Variable("filtered", "output", "FILTERED", (0.0,), "whether the safety filter changed U", boolean=True)
-        about = "whether the bounds of U left no way to keep the limits"
-        yield Variable("unkept", "output", "UNKEPT", (0.0,), about, boolean=True)
-        yield Variable("kept", "output", "KEPT", (0.0,), "the least limit of the predicted states, safe at 0 or above")
-    if controller.settings.offsets:
-        for name in plant.inputs:
-            about = "estimated, added to the command before the plant"
-            yield Variable(f"offset.{name}", "output", "OFFSET", (0.0,), about, plant.units.get(name, ""))
+        yield flag("filtered", "whether the safety filter changed U")
+        yield flag("unkept", "whether the bounds of U left no way to keep the limits")
+        yield output("kept", "KEPT", "the least limit of the predicted states, safe at 0 or above")
+    for name in plant.inputs if controller.settings.offsets else ():
+        yield output(
+            f"offset.{name}", "OFFSET", "estimated, added to the command before the plant", units.get(name, "")
+        )
 
 
 def _parameters(controller: Controller) -> Iterator[Variable]:
-    """What can be set: of a network it is not the plant's parameters, for it was trained for them."""
+    """Numbers that can be set: of a network it is not the plant's parameters, for it was trained for them."""
     plant, predictor, law = controller.plant, controller.predictor, controller.adaptation
     if not plant.declares_delay:
         low, high = c_controller.D_hat_bounds(controller)

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from npred.base import grid
 from npred.base.errors import NpredError, required
-from npred.exports import Exported, TrainedNetwork
+from npred.exports import Exported, NetworkAlone
 from npred.networks import eps
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -76,7 +76,7 @@ def graph(operator: Any, plant: Plant, nx: int) -> bytes:
     return program.model_proto.SerializeToString()
 
 
-def export(of: TrainedNetwork, path: Path, *, atol: float) -> Exported:
+def export(of: NetworkAlone, path: Path, *, atol: float) -> Exported:
     """Write the graph of a network unless it differs from the network in single precision.
 
     Raises NpredError for a difference above `atol`, in units of the states and inputs, MissingError without the onnx

@@ -12,19 +12,19 @@ from npred.base.errors import ConfigError, DivergedError
 from npred.base.randomness import generator
 from npred.loop.controller import Controller
 
-# What a call does, as runtimes/c/controller.c numbers it.
+# What a call does, as npred/exports/c/controller.c numbers it.
 SAMPLED, STAMPED, APPLIED, SAVED, ESTIMATE, TIME, ANEW = (1 << bit for bit in range(7))
 NOW = SAMPLED | STAMPED
 DOES = {"plain": SAMPLED, "none": STAMPED, "restart": STAMPED | TIME, "anew": STAMPED | ANEW}
 DOES |= {"applied": NOW | APPLIED, "saved": NOW | SAVED, "estimate": NOW | ESTIMATE, "time": NOW | TIME}
-# Of the kicks: the first one is taken that does not amplify rounding errors too much.
+# sizes of the kicks: the first one is taken that does not amplify rounding errors too much.
 SIZES = (1.0, 0.5, 0.2, 0.1, 0.03)
-EDGES = {"edge": 0.99, "over": 1.01}  # of the gate: a sample that is still believed, and one that is not
-GROWTH = 200.0  # of a relative error of the samples, up to which the test takes these
+EDGES = {"edge": 0.99, "over": 1.01}  # times the gate: a sample that is still believed, and one that is not
+GROWTH = 200.0  # times a relative error of the samples, up to which the test takes these
 TURNED = 1e-9  # that error
-X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # of a controller that is given u: rows that are taken in turn
+X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # for a controller that gets u: rows that are taken in turn
 
-ROUNDED = {"earlier": 0.47, "later": 0.53}  # of a control step: a sample's time, which is moved to the nearest begin
+ROUNDED = {"earlier": 0.47, "later": 0.53}  # in control steps: a sample's time, which is moved to the nearest begin
 USED = 1  # a sample's fate: npred/kernels/c/controller.h
 BISECTIONS = 12  # that find how wide the gate is
 
@@ -41,7 +41,7 @@ class Test(NamedTuple):
 
 def designed(controller: Controller) -> tuple[Test, float]:
     """The calls that test a controller, and how much larger an error of a sample is in U."""
-    draw = _recalled if controller.settings.recalls else _measured
+    draw = _recalled if controller.settings.reads_commands else _measured
     least, best = np.inf, None
     for size in SIZES:
         test = draw(controller, size)
@@ -88,7 +88,7 @@ class _Player:
 
     def _step(self, s: int, does: int, t: float, taken: float, X: np.ndarray) -> np.ndarray:
         twin = self.twin
-        if not twin.settings.recalls:
+        if not twin.settings.reads_commands:
             u, other = (self.u[(s + k) % len(self.u)] for k in (0, 1))
             return twin.step(X, u, other if does & STAMPED else None)
         if not does & STAMPED:
@@ -172,7 +172,7 @@ class _World:
 
 
 def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
-    """What happens, how many control steps after the call before, and how many a sample is old."""
+    """The event, how many control steps after the call before, and how many a sample is old."""
     rows, d = len(controller.memory.held), max(controller.D_hat / controller.dt, 1.0)
     waits, oldest = controller.watchdog.after / controller.dt if controller.watchdog else 4.0, controller._oldest
     now = ("now", 1.0, 0.0)

@@ -21,13 +21,13 @@ from npred.prediction.methods.coarse import LADDER, Coarse, Examples, one_step
 from npred.prediction.methods.runge_kutta import RK4
 from npred.prediction.methods.single import SingleCalls
 
-PASSES = 0.8  # of the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
-SHARE = 0.25  # of the tolerance: how far off what answers in the network's place may be
+PASSES = 0.8  # times the tolerance: the largest estimate that passes, for errors may be larger; a margin, not a bound
+SHARE = 0.25  # times the tolerance: how far off what answers in the network's place may be
 METHODS = ("rk4", "semi_implicit", "rosenbrock")  # by which shadows may be taken
 FEWEST = 5  # nodes
-FEW = 0.01  # of the examples: for so many the shadows may not decide
-WORTH = 0.4  # of the operations of `exact`: what the shadows of the first level may take
-LEVELS = 4  # of grids that the settings have room for
+FEW = 0.01  # share of the examples: for so many the shadows may not decide
+WORTH = 0.4  # times the operations of `exact`: what the shadows of the first level may take
+LEVELS = 4  # grids that the settings have room for
 HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
 SHADOWS = 4  # predictions side by side, of a method whose steps tell their error; there is one of any other
 POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
@@ -48,9 +48,7 @@ class Guarded(Predictor):
 
     name: ClassVar[str] = "guarded"
 
-    def __init__(
-        self, model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
-    ) -> None:  # fmt: skip
+    def __init__(self, model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None) -> None:
         if not isinstance(model, Predictor):
             raise ConfigError(f"guarded: expected a Predictor, got {model!r}; load one with npred.load")
         if exact is not None and not isinstance(exact, Predictor):
@@ -58,13 +56,10 @@ class Guarded(Predictor):
         super().__init__(model.plant, model.nx)
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
-        if by not in ("auto", "shadow"):
-            raise ConfigError(f"by: expected auto or shadow, the only estimate there is, got {by!r}; leave it out")
         if self.nx < FEWEST:
-            raise ConfigError(
-                f"guarded: expected a model on {FEWEST} nodes or more, got {self.nx}; load it with another nx"
-            )
-        self.model, self.tolerance, self.by, self._exact = model, float(tolerance), "shadow", exact
+            what = f"expected a model on {FEWEST} nodes or more, got {self.nx}"
+            raise ConfigError(f"guarded: {what}; load it with another nx")
+        self.model, self.tolerance, self._exact = model, float(tolerance), exact
         self.name = f"guarded {model.name}"  # type: ignore[misc]
 
     @property
@@ -82,7 +77,7 @@ class Guarded(Predictor):
         return PASSES * self.tolerance
 
     def lanes(self) -> Callable[..., None]:
-        """That of the model; the loop calls `guard` after it."""
+        """The kernel of the model; the loop calls `guard` after it."""
         return self.model.lanes()
 
     @cached_property
@@ -92,8 +87,8 @@ class Guarded(Predictor):
 
     @cached_property
     def settings(self) -> np.ndarray:
-        """What the kernel is set to: tolerance, the limit of the distance, the levels, and the domain."""
-        return self._set(self.threshold, self.reference[1], self.domain)
+        """The settings of the kernel: tolerance, the limit of the distance, the levels, and the domain."""
+        return self._set(self.threshold, self.reference[1])
 
     @cached_property
     def reference(self) -> tuple[str, list[int]]:
@@ -133,7 +128,7 @@ class Guarded(Predictor):
         steps = float(levels[0])
         for pair in pairwise(levels):
             steps += left.mean() * pair[1]
-            settings = self._set(self.threshold / 2, [*pair], self.domain)
+            settings = self._set(self.threshold / 2, [*pair])
             left &= self._run(settings, P, *self.examples.calls, run=self._kernel(name))[2]
         return float(left.mean()), steps * kind.operations(self.plant) * kind.steps_of_pair
 
@@ -146,8 +141,8 @@ class Guarded(Predictor):
 
     @cached_property
     def exact(self) -> Predictor:
-        """What answers where the guard doubts: RK4 on all nodes, or, where the examples of the data are too stiff for
-        50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
+        """The predictor that answers where the guard doubts: RK4 on all nodes, or, where examples of the data are too
+        stiff for 50 of its steps, the cheapest implicit method on as few cells as keep U within SHARE of the tolerance.
         """
         if self._exact is None and self.domain is not None and problem_of(self.plant).reads_cells:
             return self.examples.exact(self._methods[1:], SHARE * self.tolerance)
@@ -184,7 +179,7 @@ class Guarded(Predictor):
         return SingleCalls(self.plant, self._reads_time, chain)
 
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
-        return self._run(self._on(u), self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
+        return self._run(self.settings, self.model(X, u, D_hat, t), X, u, D_hat, t)[0]
 
     def error(self, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
         """The estimate of |kappa(P̂(1)) - kappa(P(1))|, (...), in units of U."""
@@ -207,26 +202,23 @@ class Guarded(Predictor):
         shape, rows = self._rows(X, u, D_hat, t)
         P_hat = array_checks.floats("P_hat", P_hat)
         P_hat = P_hat.reshape(-1, *P_hat.shape[-2:])
-        _, error, fallback = self._run(self._on(rows[1]), P_hat, *rows)
+        _, error, fallback = self._run(self.settings, P_hat, *rows)
         return error.reshape(shape), fallback.reshape(shape)
-
-    def _on(self, u: np.ndarray) -> np.ndarray:
-        """The settings for inputs on these nodes. Raises ConfigError for others than those of `nx`."""
-        if u.shape[-2] != self.nx:
-            raise ConfigError(f"u: expected {self.nx} nodes, those of the guard, got {u.shape[-2]}; load another nx")
-        return self.settings
 
     def _run(
         self, settings: np.ndarray, P_hat: np.ndarray, *call: np.ndarray | float, run: Kernel | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """P (B, nx, n), the estimate (B,) and whether `exact` answered (B,), of P_hat (B, nx, n) and X, u, D_hat, t."""
         X, u, D_hat, t = map(np.asarray, call)
+        if u.shape[-2] != self.nx:
+            raise ConfigError(f"u: expected {self.nx} nodes, those of the guard, got {u.shape[-2]}; load another nx")
         P, error, fallback = np.array(P_hat, dtype=float), np.empty(len(X)), np.empty(len(X))
         times = np.broadcast_to(t, len(X)) if self._reads_time else np.zeros(len(X))
         by_time(run or self.guard, (X, u, D_hat), times, (self.plant.p, settings), (P, error, fallback))
         return P, error, fallback > 0
 
-    def _set(self, tolerance: float, levels: list[int], domain: Domain | None = None) -> np.ndarray:
+    def _set(self, tolerance: float, levels: list[int]) -> np.ndarray:
+        domain = self.domain
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
         return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.T.ravel()) if domain else ())])
@@ -243,20 +235,14 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1
         side = shadows + (cells and signed)
-        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # of a lane, and what its levels share
+        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # a lane, and what its levels share
         grid = finest * (2 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
         rest = [part.work(max(nx, finest), max(lanes, side), None) for part in compiled.values()]
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
-    sizes |= {
-        "ON_CELLS": int(cells),
-        "SIGNED": int(signed),
-        "SHADOWS": shadows,
-        "ORDER": method.order,
-        "LEVELS": LEVELS,
-    }
-    sizes |= {} if plant.traced else {"FOREIGN": ""}
+    sizes |= {"ON_CELLS": int(cells), "SIGNED": int(signed), "SHADOWS": shadows}
+    sizes |= {"ORDER": method.order, "LEVELS": LEVELS} | ({} if plant.traced else {"FOREIGN": ""})
     guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
     if plant.traced:
         return guard
@@ -276,9 +262,7 @@ def bare(predictor: Predictor) -> Predictor:
     return getattr(predictor, "model", predictor)
 
 
-def guarded(
-    model: Predictor, tolerance: float = 0.01, by: str = "auto", *, exact: Predictor | None = None
-) -> Predictor:  # fmt: skip
+def guarded(model: Predictor, tolerance: float = 0.01, *, exact: Predictor | None = None) -> Predictor:
     """`model`, checked in every call: `exact` answers where |kappa(P̂(1)) - kappa(P(1))| is estimated to be above
     `tolerance`; see Guarded.
 
@@ -290,8 +274,6 @@ def guarded(
         A network from npred.load, or any other.
     tolerance : float, in the inputs' units, default 0.01
         Largest error of U that is to pass.
-    by : "auto" or "shadow", default "auto"
-        The estimate; there is one.
     exact : Predictor, optional
         Answers in place of the model; by default RK4, or what suits the data that a trained model carries.
 
@@ -305,4 +287,4 @@ def guarded(
     ConfigError
         For a tolerance that is not above 0, and for a model on fewer than five nodes.
     """
-    return Guarded(model, tolerance, by, exact=exact)
+    return Guarded(model, tolerance, exact=exact)

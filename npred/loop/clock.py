@@ -1,4 +1,4 @@
-"""What a controller on a real clock remembers of its calls: npred/kernels/c/controller.h reads and writes it.
+"""The memory that a controller on a real clock has of its calls: npred/kernels/c/controller.h reads and writes it.
 
 Positions count control steps of a regular clock, in the rows of the history of commands.
 """

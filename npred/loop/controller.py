@@ -3,6 +3,7 @@
 import math
 import operator
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
@@ -10,16 +11,14 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
-from npred.estimation.delay_law import DelayLaw, part
-from npred.estimation.observers import Observer
+from npred.estimation.delay_law import DelayLaw, Part, part
 from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
-from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
+from npred.loop.loop import REALITY, ControllerParts, Loop
 from npred.loop.status import Status
-from npred.loop.timing import ROUNDING, SNAP
-from npred.loop.watchdog import Watchdog
+from npred.loop.timing import ROUNDING, SNAP, snapped
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -27,7 +26,7 @@ from npred.prediction.methods import RK4, Predictor
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
-SIGMAS = 6.0  # of an output that an observer of the state estimates: `outlier_limit` times as many are not believed
+SIGMAS = 6.0  # standard deviations of an estimated output, times `outlier_limit`: beyond them it is not believed
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
@@ -96,65 +95,107 @@ class Controller(InNotebook):
     """
 
     def __init__(self, loop: Loop) -> None:
-        plant, predictor, safety = loop.plant, loop.predictor, loop.safety
-        loop_checks.parts(plant, predictor, loop.adaptation)
-        loop_checks.actuator_state(loop.actuator)
+        plant, predictor, law = loop.plant, loop.predictor, loop.adaptation
+        loop_checks.parts(loop)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
-        if not 0 < (seconds := array_checks.number("dt", loop.dt)) < math.inf:
+        if not 0 < (dt := array_checks.number("dt", loop.dt)) < math.inf:
             raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
-        adaptation = loop.adaptation and self._suited(plant, loop.adaptation, loop.D_hat)
-        self.plant, self.predictor, self.adaptation, self.dt = plant, predictor, adaptation, seconds
-        law, self._limits = part(plant, adaptation, seconds), inputs.bounds(plant, loop.input_bounds)
-        self.actuator, self._u0 = loop.actuator, inputs.start(plant, loop.u0, self._limits)
-        self._by_law = isinstance(self._u0, str) and self._u0 == inputs.LAW
-        self._recalls, self._watches = loop.actuator == HISTORY, law.memory > 1
-        self.keeps_commands = self._recalls or self._watches  # a step reads the commands of those before it
         gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
         if gate is not None and not 0 < gate < math.inf:
-            raise ConfigError(
-                f"outlier_limit: expected a number above 0, or None for no limit, got {gate!r}; 1 is the default"
-            )
-        self.outlier_limit, self.max_sample_age = gate, loop.max_sample_age
-        self.observer, self.watchdog, self.safety = loop.observer, loop.watchdog, safety
-        observer, watchdog = loop.observer, loop.watchdog
-        if safety is not None:
-            loop_checks.protected(plant, safety, self.dt)
-        self._check_clocked()
-        self._oldest = math.floor(sample_age(loop.max_sample_age, self.dt)) if self._recalls else 0
-        self.parts = {
-            "observe": law.observe, "believe": problem_of(plant).horizon(), "predict": predictor.lanes(),
-            "guard": predictor.guard, "control": law.control, "update": law.update,
-            "model": engine.advance_kernel(plant, RK4) if self._recalls else None,
-            "follow": observer and observer.follow, "correct": observer and observer.correct,
-            "relief": watchdog and watchdog.law(plant), **engine.protection(safety, predictor),
-        }  # fmt: skip
-        self.settings = signals.settings(
-            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt, recalls=self._recalls, keeps=self._recalls,
-            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._recalls and gate is not None,
-            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
-            offsets=bool(observer and observer.offset), output_count=len(self.outputs),
-            watched=watchdog is not None, after=watchdog.after if watchdog else 0.0,
-            holds=bool(watchdog and watchdog.holds), rescue=watchdog.rescue(plant.m) if watchdog else np.zeros(0),
-            jump=watchdog.jumps(plant.m) if watchdog else np.zeros(0),
-            sensing=observer.settings if observer else np.zeros(0), pulls=bool(observer and observer.pulls),
-            filter_count=len(observer.start()) if observer else 0,
-            anew=observer.anew()[0] if observer else _box(plant).mean(axis=0),
-            widens=observer.anew()[1] if observer else np.zeros(0),
-            bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
-            input_bounds=np.ascontiguousarray(inputs.widest(plant, self._limits), dtype=float), law=law.settings,
-            guard=np.zeros(0) if predictor.settings is None else predictor.settings,
-            reach=(gate or 1.0) * _half_widths(plant),
-            **(safety.settings(self.dt, self._limits) if safety else {}),
-        )  # fmt: skip
-        D_hat = self._start(loop.D_hat)
-        array_checks.within("D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(law.bounds), plant.time_unit)
+            what = "expected a number above 0, or None for no limit"
+            raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
+        if loop.safety is not None:
+            loop.safety.check(plant, dt)
+        if not loop.reads_commands:
+            wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
+            for name in ("max_sample_age", "observer", "watchdog"):
+                if getattr(loop, name) is not None:
+                    raise ConfigError(f"{name}: {wrong}, or no {name}")
+            if loop.safety is not None and loop.safety.delay:
+                raise ConfigError(f"safety: an uncertain delay {wrong}")
+        age = OLDEST * dt if loop.max_sample_age is None else array_checks.number("max_sample_age", loop.max_sample_age)
+        if not 0 <= age < math.inf:
+            what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
+            raise ConfigError(f"max_sample_age: {what}; give a time")
+        self._oldest = math.floor(age / dt * (1 + 1e-12)) if loop.reads_commands else 0  # in control steps
+        law, D_hat = self._first_estimate(loop)
+        limits = inputs.bounds(plant, loop.input_bounds)
+        u0 = inputs.start(plant, loop.u0, limits)
+        self._loop = replace(loop, dt=dt, adaptation=law, input_bounds=limits, u0=u0, outlier_limit=gate)
+        self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
+        self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
+        kernels = part(plant, law, dt)
+        self._reads_commands, self._watches = loop.reads_commands, kernels.memory > 1
+        self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
+        self._by_law = isinstance(u0, str) and u0 == inputs.LAW
+        self.parts, self.settings = self._kernels(kernels), self._set(kernels)
+        array_checks.within(
+            "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
+        )
         self._first_D_hat, self._awaits_X = D_hat, False
-        self._take_memory(law.memory, self._kept(D_hat, loop.history_length))
+        self._take_memory(kernels.memory, D_hat)
         self._set_state(D_hat, None, 0, 0.0)
-        self._reset_clock(None)
+        self._reset_clock()
         self._warm_up()
         self._awaits_X = self._by_law  # for the commands before the first step
+
+    @staticmethod
+    def _first_estimate(loop: Loop) -> tuple[DelayLaw | None, float]:
+        """The law, complete, for a delay of D_hat or else of the middle of its bounds; and the first D_hat."""
+        plant, law, D_hat = loop.plant, loop.adaptation, loop.D_hat
+        if law is not None:
+            if D_hat is None and law.bounds is None:
+                what = "expected a first estimate in seconds, for the law has no bounds, got none"
+                raise ConfigError(f"D_hat: {what}; give D_hat")
+            D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
+            array_checks.delays("D_hat", D)
+            law = law.suited(plant, D, D)
+        elif D_hat is None and not plant.declares_delay:
+            what = f"expected a delay in {plant.time_unit}, for nothing adapts it, got none"
+            raise ConfigError(f"D_hat: {what}; give D_hat")
+        if D_hat is None:
+            D_hat = 0.0 if law is None or plant.declares_delay else sum(law.bounds) / 2
+        return law, D_hat
+
+    def _kernels(self, law: Part) -> dict[str, Any]:
+        observer, watchdog = self.observer, self.watchdog
+        return {
+            "observe": law.observe, "model_delay": problem_of(self.plant).horizon(), "predict": self.predictor.lanes(),
+            "guard": self.predictor.guard, "control": law.control, "update": law.update,
+            "model": engine.advance_kernel(self.plant, RK4) if self._reads_commands else None,
+            "follow": observer and observer.follow, "correct": observer and observer.correct,
+            "watchdog_law": watchdog and watchdog.law(self.plant), **engine.protection(self.safety, self.predictor),
+        }  # fmt: skip
+
+    def _set(self, law: Part) -> signals.Settings:
+        plant, observer, watchdog, gate = self.plant, self.observer, self.watchdog, self.outlier_limit
+        limits, guard = self._loop.input_bounds, self.predictor.settings
+        low, high = box = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T  # zeros for no range
+        parts: dict[str, Any] = {"anew": box.mean(axis=0)}
+        if observer:
+            memory, widens = observer.anew()
+            parts |= {
+                "sensing": observer.settings, "pulls": observer.pulls, "offsets": observer.offset,
+                "filter_count": len(memory), "anew": memory, "widens": widens,
+            }  # fmt: skip
+        if watchdog:
+            parts |= {
+                "watched": True, "after": watchdog.after, "holds": watchdog.holds, "rescue": watchdog.rescue(plant.m),
+                "jump": watchdog.jumps(plant.m),
+            }  # fmt: skip
+        if self.safety:
+            parts |= self.safety.settings(self.dt, limits)
+        return signals.settings(
+            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
+            reads_commands=self._reads_commands, stores_commands=self._reads_commands,
+            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
+            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
+            output_count=len(self.outputs), bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
+            input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float), law=law.settings,
+            guard=np.zeros(0) if guard is None else guard,
+            reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), **parts,
+        )  # fmt: skip
 
     @property
     def D_hat(self) -> float:
@@ -188,7 +229,7 @@ class Controller(InNotebook):
         X."""
         if self._by_law:
             raise ConfigError("u0: expected a constant command, got that of the first X; give numbers")
-        return inputs.before(self.plant, self._u0, self._limits, np.zeros((1, self.plant.n)))[0]
+        return inputs.before(self.plant, self._loop.u0, self._loop.input_bounds, np.zeros((1, self.plant.n)))[0]
 
     @property
     def reach(self) -> float:
@@ -199,11 +240,6 @@ class Controller(InNotebook):
     def longest_D_hat(self) -> float:
         """The longest delay, in seconds, by which a step can read its commands."""
         return (len(self.memory.held) - 3 - self._oldest) * self.dt
-
-    @property
-    def missed(self) -> int:
-        """How many of the last samples, in a row, were not believed; X_hat took their place."""
-        return int(self.memory.missed[0])
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -217,15 +253,17 @@ class Controller(InNotebook):
 
     @property
     def status(self) -> Status:
-        """What happened in the last step (npred.loop.status)."""
+        """The events of the last step (npred.loop.status)."""
         z, clock, m = self.memory, self._clock, self.plant.m
-        age = (clock["at"] - clock["sample_at"]) * self.dt
+        age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
+        if self._watches:
+            spread = engine.spread(self.plant.n, m, self.settings.law, z.observer)
         offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
         return Status(
-            D_hat=self.D_hat, D_hat_spread=self._spread(), age=math.inf if math.isnan(age) else age,
+            D_hat=self.D_hat, D_hat_spread=spread, age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
-            missed=self.missed, renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
-            fallback=self.fallback, error=self.error, filtered=z.filtered[0] > 0,
+            missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
+            fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
             kept=float(z.kept[0]) if self.safety else math.nan, unkept=z.unkept[0] > 0,
         )  # fmt: skip
 
@@ -233,16 +271,6 @@ class Controller(InNotebook):
     def P(self) -> np.ndarray:
         """The prediction of the last step on the predictor's nodes, (nx, n), a copy; NaN before the first step."""
         return self._last_P.copy()
-
-    @property
-    def fallback(self) -> bool:
-        """Whether the numerical predictor answered in the last step, for a guarded predictor that doubted."""
-        return bool(self.memory.fallback[0])
-
-    @property
-    def error(self) -> float:
-        """The guard's estimate of the error of U in the last step, in units of U; NaN without a guard."""
-        return float(self.memory.error[0])
 
     def step(
         self, X: Any = None, u: Any = None, u_nodes: Any = None, *, t: float | None = None,
@@ -283,17 +311,20 @@ class Controller(InNotebook):
         DivergedError
             For a measurement that is not finite, or that the prediction leaves the finite numbers from.
         """
-        if (u is None) != self._recalls or (X is None and not self._recalls):
-            expected, came = (
-                ("X alone", "u too") if self._recalls else ("X and u", "u alone" if X is None else "X alone")
-            )
-            raise ConfigError(
-                f"step: expected {expected}, for the actuator is {self.actuator!r}, got {came}; give what is measured"
-            )
-        gap = 1.0 if t is None else self._gap(t)
-        now = self.t if t is None else t
-        age = 0.0 if sampled_at is None else self._age(now, sampled_at)
-        applied = None if applied is None else self._as_applied(applied)
+        if (u is None) != self._reads_commands or (X is None and not self._reads_commands):
+            expected, came = "X alone", "u too"
+            if not self._reads_commands:
+                expected, came = "X and u", "u alone" if X is None else "X alone"
+            what = f"expected {expected}, for the actuator is {self.actuator!r}, got {came}"
+            raise ConfigError(f"step: {what}; give what is measured")
+        now, gap, age = self._times(t, sampled_at)
+        if applied is not None and not self.keeps_commands:
+            what = "expected a controller that keeps its commands, got one that is given u"
+            raise ConfigError(f"applied: {what}; omit it")
+        sent = None if applied is None else array_checks.floats("applied", applied)
+        if sent is not None and (sent.shape != (self.plant.m,) or not np.isfinite(sent).all()):
+            what = f"expected {self.plant.m} finite numbers, one per input"
+            raise ConfigError(f"applied: {what}, got {applied!r}; give U")
         came = X is not None
         if came:
             self._measure(array_checks.floats("X", X), u, u_nodes)
@@ -302,18 +333,20 @@ class Controller(InNotebook):
             if not came or not np.isfinite(self._Y).all():
                 raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
             before = self.state()
-            self._fill(self._Y)
-        if applied is not None:
-            self._engine.replace(applied)
+            past = self._past(self._Y)
+            _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
+            self._reset_clock()
+        if sent is not None:
+            self._engine.replace(sent)
         code = self._engine.call(now, gap, came, age)
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
             self.restore(before)
-            raise DivergedError(f"step: {self._reason(code)}; hold the last U and measure again")
+            raise DivergedError(self._refusal(code, booked=False))
         if abs(now - self.t) > SNAP * self.dt:
             self._t0, self._step = now, 0
         self._step += 1
         if code:
-            raise DivergedError(f"step: {self._reason(code)}; {self._held()}")
+            raise DivergedError(self._refusal(code, booked=self.keeps_commands))
         self._awaits_X = False
         self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
@@ -326,19 +359,14 @@ class Controller(InNotebook):
         if self.keeps_commands:
             held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
             remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self._clock.state()}
-        if self._recalls:
-            X_hat = self._clock.now.tolist() if np.isfinite(self._clock.now).all() else None
-            remembered |= {"X_hat": X_hat, "missed": self.missed}
+        if self._reads_commands:
+            remembered["missed"] = int(z.missed[0])
         if self.observer:
             remembered["filter"] = z.filter[:, 0].tolist()
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
-        return {
-            "D_hat": self.D_hat,
-            "phi": None if math.isnan(phi) else phi,
-            "step": self._step,
-            "t0": self._t0,
-        } | remembered
+        rate = None if math.isnan(phi) else phi
+        return {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0} | remembered
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
@@ -365,12 +393,7 @@ class Controller(InNotebook):
     @property
     def loop(self) -> Loop:
         """The description that another controller with these parts and this D_hat is made of."""
-        return Loop(
-            plant=self.plant, predictor=self.predictor, dt=self.dt, adaptation=self.adaptation, D_hat=self.D_hat,
-            input_bounds=self._limits, u0=self._u0, actuator=self.actuator, observer=self.observer,
-            watchdog=self.watchdog, safety=self.safety, outlier_limit=self.outlier_limit,
-            max_sample_age=self.max_sample_age, history_length=self._longest,
-        )  # fmt: skip
+        return replace(self._loop, D_hat=self.D_hat, history_length=self._longest)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -386,69 +409,24 @@ class Controller(InNotebook):
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
 
-    def _check_clocked(self) -> None:
-        """Raise ConfigError for parts that need the commands' history, where it has none, or are of another plant."""
-        parts = {"max_sample_age": self.max_sample_age, "observer": self.observer, "watchdog": self.watchdog}
-        for name, value in parts.items():
-            if value is not None and not self._recalls:
-                raise ConfigError(f'{name}: expected actuator="history", got {self.actuator!r}; give it, or no {name}')
-        if self.safety is not None and self.safety.delay and not self._recalls:
-            raise ConfigError(f'safety: an uncertain delay expected actuator="history", got {self.actuator!r}; give it')
-        if self.observer is not None and not isinstance(self.observer, Observer):
-            raise ConfigError(f"observer: expected one of npred.observers, got {self.observer!r}; make one")
-        if self.watchdog is not None and not isinstance(self.watchdog, Watchdog):
-            raise ConfigError(f"watchdog: expected npred.Watchdog, got {self.watchdog!r}; make one")
-
-    @staticmethod
-    def _suited(plant: Plant, law: DelayLaw, D_hat: float | None) -> DelayLaw:
-        """The law with what it leaves out, for a delay of D_hat, else of the middle of its bounds."""
-        if D_hat is None and law.bounds is None:
-            raise ConfigError(
-                "D_hat: expected a first estimate in seconds, for the law has no bounds, got none; give D_hat"
-            )
-        D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
-        array_checks.delays("D_hat", D)
-        return law.suited(plant, D, D)
-
-    def _spread(self) -> float:
-        if not self._watches:
-            return math.nan
-        return engine.spread(self.plant.n, self.plant.m, self.settings.law, self.memory.observer)
-
-    def _start(self, D_hat: float | None) -> float:
-        if D_hat is not None:
-            return D_hat
-        if self.plant.declares_delay:
-            return 0.0
-        if self.adaptation is None:
-            raise ConfigError(
-                f"D_hat: expected a delay in {self.plant.time_unit}, for nothing adapts it, got none; give D_hat"
-            )
-        return sum(self.adaptation.bounds) / 2
-
-    def _kept(self, D_hat: float, longest: float | None) -> float:
-        """The seconds that commands are kept for."""
+    def _take_memory(self, size: int, D_hat: float) -> None:
+        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to the longest delay."""
+        n, m, nx, longest = self.plant.n, self.plant.m, self.predictor.nx, self._loop.history_length
         needed = max(D_hat, float(self.settings.bounds[1]) if self.adaptation else 0.0)
         if longest is None:
-            reads = self._recalls and self.plant.declares_delay
-            return DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if reads else needed
-        if not needed <= (seconds := array_checks.number("history_length", longest)) < math.inf:
-            least = self.plant.time_text(needed)
-            raise ConfigError(
-                f"history_length: expected at least the largest delay, {least}, got {longest!r}; raise it"
-            )
-        return seconds
-
-    def _take_memory(self, size: int, longest: float) -> None:
-        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to `longest` seconds."""
-        n, m, nx = self.plant.n, self.plant.m, self.predictor.nx
+            declared = self._reads_commands and self.plant.declares_delay
+            longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
+        elif not needed <= array_checks.number("history_length", longest) < math.inf:
+            what = f"expected at least the largest delay, {self.plant.time_text(needed)}"
+            raise ConfigError(f"history_length: {what}, got {longest!r}; raise it")
+        longest = float(longest)
         self._last_U = np.zeros(m)
         self._last_P = np.full((nx, n), np.nan)
         self._longest = longest
         self._kept_for = (int(longest / self.dt) + self._oldest + 0.5) * self.dt if self._oldest else longest
         held, total = history(self._kept_for, self._kept_for, self.dt, self._past(np.zeros(n)))[1:]
         self._clock, Y = Clock(n, m, len(self.outputs)), np.zeros((n, 1))
-        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._recalls else Y, "held": held, "total": total}
+        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._reads_commands else Y, "held": held, "total": total}
         arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
         arrays |= {"error": np.full(1, np.nan), "clock": self._clock.memory[:, None]}
         if self.observer:
@@ -459,7 +437,7 @@ class Controller(InNotebook):
 
     def _set_memory(self, memory: signals.State) -> None:
         self.memory = z = memory
-        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # of the only lane
+        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # the only lane
         self._u, self._u_nodes = z.u[:, :, 0], z.u_nodes[:, :, 0]
         self._P, self._U = z.P[:, :, 0], z.U[:, 0]
         self._engine = Engine(self.parts, self.settings, memory)
@@ -467,18 +445,13 @@ class Controller(InNotebook):
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
         span = np.array([self._first_D_hat])
-        limits = self.settings.input_bounds if self._by_law else self._limits
-        return inputs.past(self.plant, self._u0, limits, X[None], span)
+        limits = self.settings.input_bounds if self._by_law else self._loop.input_bounds
+        return inputs.past(self.plant, self._loop.u0, limits, X[None], span)
 
-    def _fill(self, X: np.ndarray) -> None:
-        """Hold kappa(X) before the first step, where that is u0."""
-        _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, self._past(X))
-        self._reset_clock(None)
-
-    def _reset_clock(self, X_hat: Any, k: int | None = None, calls: int = 0) -> None:
-        """Set the clock before the call of control step k, the first by default, where the model expects X_hat."""
+    def _reset_clock(self, k: int | None = None, calls: int = 0) -> None:
+        """Set the clock before the call of control step k, the first by default."""
         k = len(self.memory.held) - 1 if k is None else k
-        X_hat = self.memory.filter[: self.plant.n, 0] if X_hat is None and self.observer else X_hat
+        X_hat = self.memory.filter[: self.plant.n, 0] if self.observer else None
         last = self.memory.held[(k - 1) % len(self.memory.held), :, 0]
         self._clock.start(k, last, self.plant.ratios * self.D_hat, X_hat, calls)
 
@@ -487,45 +460,43 @@ class Controller(InNotebook):
         """The control step of the next call, in the history."""
         return int(self._clock["at"] + ROUNDING) + 1
 
-    def _gap(self, t: Any) -> float:
-        """The control steps from the last call to one at t. Raises ConfigError for a time that is not after it."""
-        now = array_checks.number("t", t)
-        if not self._recalls:
-            raise ConfigError(f't: expected actuator="history", got {self.actuator!r}, whose calls are each dt; omit t')
-        if abs(now - self.t) <= SNAP * self.dt:
-            return 1.0
-        if not self._clock["calls"] and math.isfinite(now):  # the clock starts here
-            return 1.0
-        last = self.t - self.dt
-        if not last < now < math.inf:
-            raise ConfigError(
-                f"t: expected a time after that of the last call, {last:.9g}, got {now:.9g}; use one clock"
-            )
-        return _snapped((now - last) / self.dt)
+    def _times(self, t: Any, sampled_at: Any) -> tuple[float, float, float]:
+        """The time of a call, the control steps since the last one, and the age of its sample in control steps.
 
-    def _age(self, now: float, sampled_at: Any) -> float:
-        """The age of a sample in control steps. Raises ConfigError for one of the future, by more than dt."""
-        age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
-        if not -1.0 <= age < math.inf:
-            raise ConfigError(
-                f"sampled_at: expected a time up to that of the call, {now:.9g}, got {sampled_at!r}; use one clock"
-            )
-        if not self._recalls and age > SNAP:
-            raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
-        return max(_snapped(age), 0.0)
+        Raises ConfigError for a call that is not after the last one, and a sample later than it by more than dt.
+        """
+        now, gap, age = self.t, 1.0, 0.0
+        if t is not None:
+            now, last = array_checks.number("t", t), self.t - self.dt
+            if not self._reads_commands:
+                came = f"got {self.actuator!r}, whose calls are each dt"
+                raise ConfigError(f't: expected actuator="history", {came}; omit t')
+            starts = not self._clock["calls"] and math.isfinite(now)
+            if abs(now - self.t) > SNAP * self.dt and not starts:
+                if not last < now < math.inf:
+                    what = f"expected a time after that of the last call, {last:.9g}, got {now:.9g}"
+                    raise ConfigError(f"t: {what}; use one clock")
+                gap = float(snapped((now - last) / self.dt))
+        if sampled_at is not None:
+            age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
+            if not -1.0 <= age < math.inf:
+                what = f"expected a time up to that of the call, {now:.9g}, got {sampled_at!r}"
+                raise ConfigError(f"sampled_at: {what}; use one clock")
+            if not self._reads_commands and age > SNAP:
+                raise ConfigError(f'sampled_at: expected actuator="history", got {self.actuator!r}; omit it')
+            age = max(float(snapped(age)), 0.0)
+        return now, gap, age
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
         z = self.memory
         commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
-        X_hat, missed, clock = state.get("X_hat"), state.get("missed", 0), state.get("clock")
+        missed, clock = state.get("missed", 0), state.get("clock")
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
-            fits = fits and len(held) <= k + 1 <= 2 * len(held)
-            X_hat = None if X_hat is None else np.array(X_hat, dtype=float)
-            fits = fits and (X_hat is None or X_hat.shape == (self.plant.n,)) and operator.index(missed) >= 0
+            fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
             fits = fits and filtered.shape == z.filter[:, 0].shape and np.isfinite(filtered).all()
             if clock is not None:
@@ -537,8 +508,8 @@ class Controller(InNotebook):
         z.observer[:, 0], z.filter[:, 0], z.missed[0] = observer, filtered, missed
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
-        if clock is None:  # of a version before this memory
-            self._reset_clock(X_hat, k, int(state["step"] > 0))
+        if clock is None:  # saved without one, by a block of python-control say
+            self._reset_clock(k, int(state["step"] > 0))
         else:
             self._clock.restore(clock)
         if self._watches and math.isnan(observer[-1]):  # observers of the delay start at a sample that is believed
@@ -550,11 +521,9 @@ class Controller(InNotebook):
         rate = math.nan if phi is None else array_checks.number("phi", phi)
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
-        if self._recalls and seconds > self.longest_D_hat:
-            raise ConfigError(
-                f"D_hat: expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept, got "
-                f"{seconds:g}; make another controller with that D_hat"
-            )
+        if self._reads_commands and seconds > self.longest_D_hat:
+            what = f"expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept"
+            raise ConfigError(f"D_hat: {what}, got {seconds:g}; make another controller with that D_hat")
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
             raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
@@ -574,38 +543,20 @@ class Controller(InNotebook):
                 came = f"{X.shape} and {values.shape}"
                 raise ConfigError(f"step: expected X {expected[0]} and u {expected[1]}, got {came}; measure those")
         self._Y[:] = X
-        if not self._recalls:
+        if not self._reads_commands:
             self._u[:], self._u_nodes[:] = u, u_nodes
 
-    def _as_applied(self, applied: Any) -> np.ndarray:
-        """The command that the actuator got, (m,). Raises ConfigError for another shape, or where none is kept."""
-        U = array_checks.floats("applied", applied)
-        if not self.keeps_commands:
-            raise ConfigError(
-                "applied: expected a controller that keeps its commands, got one that is given u; omit it"
-            )
-        if U.shape != (self.plant.m,) or not np.isfinite(U).all():
-            raise ConfigError(
-                f"applied: expected {self.plant.m} finite numbers, one per input, got {applied!r}; give U"
-            )
-        return U
-
-    def _held(self) -> str:
-        """What to do after a step that was refused, in words."""
-        advice = "hold the last U and measure again"
-        if self.keeps_commands:
-            advice += f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent"
-        return advice
-
-    def _reason(self, code: int) -> str:
-        """Why a step gives no U to send, in words."""
+    def _refusal(self, code: int, booked: bool) -> str:
+        """Why a step gives no U to send, and what to do, in words."""
         kept, came = self.plant.time_text(self.reach), self.memory.D_seen.max()
-        return {
+        reason = {
             engine.MEASUREMENT: "expected finite X and u, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
             engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
             "raise history_length",
         }[code]
+        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent" if booked else ""
+        return f"step: {reason}; hold the last U and measure again{sent}"
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
@@ -615,27 +566,3 @@ class Controller(InNotebook):
         self.memory.innovation[:] = self.memory.error[:] = np.nan
         for signal in ("fallback", "kept", "filtered", "unkept"):
             getattr(self.memory, signal)[:] = 0.0
-
-
-def sample_age(limit: float | None, dt: float) -> float:
-    """The largest age of a sample, in control steps. Raises ConfigError for a negative one."""
-    age = OLDEST * dt if limit is None else array_checks.number("max_sample_age", limit)
-    if not 0 <= age < math.inf:
-        raise ConfigError(f"max_sample_age: expected how old a sample may be, at least 0, got {limit!r}; give a time")
-    return age / dt * (1 + 1e-12)
-
-
-def _snapped(steps: float) -> float:
-    """A number of control steps, whole where it is nearly."""
-    return float(round(steps)) if abs(steps - round(steps)) <= SNAP else steps
-
-
-def _half_widths(plant: Plant) -> np.ndarray:
-    """Half the width of each state's box, (n,); infinity where it has none, or one of a point."""
-    low, high = _box(plant)
-    return np.where(high > low, (high - low) / 2, np.inf)
-
-
-def _box(plant: Plant) -> np.ndarray:
-    """The ends of each state's box, (2, n); zeros where it has none."""
-    return np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T

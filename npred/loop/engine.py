@@ -29,36 +29,27 @@ INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
 @cache
-def loop() -> ctypes.CDLL:
-    """The compiled loop with a simulated plant."""
-    loaded = compiler.library(_text(LOOP))
-    loaded.run.argtypes, loaded.run.restype = [Shape, INDEX, INDEX, INDEX, *(POINTER,) * 6], None
-    return loaded
-
-
-@cache
-def on_a_clock() -> ctypes.CDLL:
-    """The compiled loop of a controller on its own clock with a simulated plant."""
-    loaded = compiler.library(_text(ON_A_CLOCK))
-    loaded.run_clocked.argtypes, loaded.run_clocked.restype = [Shape, INDEX, INDEX, *(POINTER,) * 7], None
-    return loaded
-
-
-@cache
-def on_a_plant() -> ctypes.CDLL:
-    """The compiled control step for a real one."""
-    loaded = compiler.library(_text(ON_A_PLANT), exact=True)
-    times = (ctypes.c_double, ctypes.c_double, ctypes.c_int, ctypes.c_double)
-    loaded.called.argtypes, loaded.called.restype = [Shape, *times, *(POINTER,) * 4], ctypes.c_int
-    loaded.spread.argtypes, loaded.spread.restype = [Shape, POINTER, POINTER], ctypes.c_double
-    loaded.replaced.argtypes, loaded.replaced.restype = [Shape, POINTER, POINTER], None
-    return loaded
+def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
+    """The compiled engine: of loops with a simulated plant, on control steps or on a clock, or for a real plant."""
+    library = compiler.library(_text(files), exact=files is ON_A_PLANT)
+    real = ctypes.c_double
+    signatures: dict[str, tuple[list[Any], Any]] = {
+        "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
+        "run_clocked": ([INDEX, INDEX, *(POINTER,) * 7], None),
+        "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
+        "spread": ([POINTER, POINTER], real),
+        "replaced": ([POINTER, POINTER], None),
+    }
+    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spread", "replaced"]}
+    for name in names[files]:
+        function = getattr(library, name)
+        function.argtypes, function.restype = [Shape, *signatures[name][0]], signatures[name][1]
+    return library
 
 
 @cache
 def _text(files: tuple[str, ...]) -> str:
-    events = [signals.declared_events()] if files is ON_A_CLOCK else []
-    return "\n".join([skeleton("base.h"), *signals.declared(), *events, *map(skeleton, files)])
+    return "\n".join([skeleton("base.h"), *signals.declared(files is ON_A_CLOCK), *map(skeleton, files)])
 
 
 def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tuple[str, ...] = LOOP) -> None:
@@ -87,9 +78,14 @@ class Engine:
             parts = {name: part.exactly if isinstance(part, Kernel) else part for name, part in parts.items()}
         self._failure, self._shape = Failure(), Shape(nx, lanes, rows, n, m)
         prepare(parts, ON_A_CLOCK if events else LOOP if out else ON_A_PLANT)
-        self._functions = {
-            name: _function(name, part, settings, state, self._failure) for name, part in parts.items() if part
-        }
+        fixed = {"ratios": settings.ratios, "law": settings.law, "guard": settings.guard, "memory": state.observer}
+        self._functions: dict[str, Any] = {}
+        for name, one in parts.items():
+            if isinstance(one, Kernel):
+                self._functions[name] = one.function
+            elif one:
+                p = settings.truth_p if name in TRUE else settings.p
+                self._functions[name] = callback(one, PARTS[name], fixed | {"p": p}, self._failure)
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
         filters = settings.filter_count + 2 * settings.output_count
@@ -105,13 +101,13 @@ class Engine:
         Raises what a part in Python raises, as the other methods do.
         """
         flag = ctypes.addressof(self._failure.flag)
-        loop().run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
+        loaded(LOOP).run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
     def run_clocked(self, start: int, stop: int) -> None:
         """Control steps start … stop - 1 of a loop on its own clock."""
         flag = ctypes.addressof(self._failure.flag)
-        on_a_clock().run_clocked(self._shape, start, stop, *self._passed, flag, self._scratch)
+        loaded(ON_A_CLOCK).run_clocked(self._shape, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
     def call(self, t: float, gap: float, came: bool, age: float) -> int:
@@ -120,24 +116,16 @@ class Engine:
         They follow from the sample, where one `came`, taken `age` control steps ago, and from u or the commands before.
         Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG. Then the last U is booked.
         """
-        code = on_a_plant().called(self._shape, t, gap, came, age, *self._passed, self._scratch)
+        code = loaded(ON_A_PLANT).called(self._shape, t, gap, came, age, *self._passed, self._scratch)
         self._failure.raised()
         return code
 
     def replace(self, U: np.ndarray) -> None:
         """Put U (m,) for the last command."""
-        on_a_plant().replaced(self._shape, self._passed[2], address(U))
+        loaded(ON_A_PLANT).replaced(self._shape, self._passed[2], address(U))
 
 
-def _function(name: str, part: Any, settings: Settings, state: State, failure: Failure) -> Any:
-    """The C function of a part."""
-    if isinstance(part, Kernel):
-        return part.function
-    fixed = {"ratios": settings.ratios, "law": settings.law, "guard": settings.guard, "memory": state.observer}
-    return callback(part, PARTS[name], fixed | {"p": settings.truth_p if name in TRUE else settings.p}, failure)
-
-
-TRUE = ("horizon", "pace", "advance", "output")  # parts of the simulated plant, which may have other parameters
+TRUE = ("horizon", "delay_speed", "advance", "output")  # parts of the simulated plant, which may have other parameters
 
 
 def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:
@@ -161,4 +149,4 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
 
 def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:
     """Half the range of the candidates that an observer of the delay cannot tell apart, in seconds; NaN at first."""
-    return on_a_plant().spread(Shape(0, 1, 0, n, m), address(law), address(memory))
+    return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, n, m), address(law), address(memory))

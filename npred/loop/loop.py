@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, Self, TypedDict
 
+import numpy as np
+
 from npred.base.errors import ConfigError, similar
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer
@@ -53,6 +55,21 @@ class Loop:
     def real(self) -> Plant:
         """The plant that is simulated."""
         return self.truth or self.plant
+
+    @property
+    def blind(self) -> bool:
+        """True if the controller of a plant that declares its delay takes it for 0: it does not predict."""
+        return self.plant.declares_delay and self.D_hat is not None and not np.any(self.D_hat)
+
+    @property
+    def reads_commands(self) -> bool:
+        """True if the controller reads the actuator state from its own commands."""
+        return self.actuator == HISTORY
+
+    @property
+    def on_a_clock(self) -> bool:
+        """True if calls, samples and commands each have their times."""
+        return any(part is not None for part in (self.timing, self.observer, self.watchdog))
 
     @classmethod
     def of(cls, call: str, unused: tuple[str, ...], parts: dict[str, Any]) -> Self:

@@ -8,10 +8,12 @@ import numpy as np
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
 from npred.estimation.delay_law import DelayLaw
+from npred.estimation.observers import Observer
 from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
-from npred.loop.timing import ROUNDING
+from npred.loop.timing import ROUNDING, Timing
+from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method
@@ -27,81 +29,62 @@ def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
     return np.broadcast_to(steps.astype(np.int64), (*shape, count)).reshape(math.prod(shape), count)
 
 
-def protected(plant: Plant, safety: SafetyFilter, dt: float) -> None:
-    """Raise ConfigError for a safety filter that is none, or that does not serve the plant."""
-    if not isinstance(safety, SafetyFilter):
-        raise ConfigError(f"safety: expected npred.SafetyFilter, got {safety!r}; make one")
-    safety.check(plant, dt)
-
-
 def start(plant: Plant, X0: np.ndarray) -> None:
     """Raise ConfigError for a start that makes no state of the plant."""
     if X0.ndim < 1 or X0.shape[-1] != plant.n:
         axes = ", ".join(plant.states) if plant.n < 5 else "its states"
-        raise ConfigError(
-            f"X0: expected shape (..., {plant.n}) for plant {plant.name}, got {X0.shape}; the last axis is {axes}"
-        )
+        what = f"expected shape (..., {plant.n}) for plant {plant.name}"
+        raise ConfigError(f"X0: {what}, got {X0.shape}; the last axis is {axes}")
     array_checks.finite("X0", X0)
     for k, name in enumerate(plant.states):
         low, high = plant.state_bounds.get(name, (-np.inf, np.inf))
         if (X0[..., k] < low).any() or (X0[..., k] > high).any():
-            raise ConfigError(
-                f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], got "
-                f"{X0[..., k].min():g} to {X0[..., k].max():g}; start inside"
-            )
+            came = f"got {X0[..., k].min():g} to {X0[..., k].max():g}"
+            raise ConfigError(f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], {came}; start inside")
 
 
 def reality(loop: Loop) -> None:
-    """Raise ConfigError for a delay, an actuator, a measurement, a truth or a disturbance of the wrong kind."""
-    plant, D, D_hat, measurement, truth = loop.plant, loop.D, loop.D_hat, loop.measurement, loop.truth
-    if plant.declares_delay:
-        blind = D_hat is not None and not np.any(array_checks.floats("D_hat", D_hat))
-        for name, value in (("D", D), ("D_hat", None if blind else D_hat), ("adaptation", loop.adaptation)):
-            if value is not None:
-                todo = f"leave {name} out" + (", or give 0 for no prediction" if name == "D_hat" else "")
-                raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; {todo}")
-    for name, value in (("D", D), ("D_hat", D_hat)):
-        if value is None and not plant.declares_delay:
+    """Raise ConfigError for delays, a disturbance or a truth that do not fit the plant."""
+    plant, truth = loop.plant, loop.truth
+    for name in ("D", "D_hat", "adaptation"):
+        value = getattr(loop, name)
+        if value is None and not plant.declares_delay and name != "adaptation":
             raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
-    actuator_state(loop.actuator)
-    if not isinstance(measurement, Measurement):
-        raise ConfigError(f"measurement: expected an npred.Measurement, got {measurement!r}; make one")
-    measurement.check(plant, loop.observer and len(loop.observer.outputs))
+        if value is not None and plant.declares_delay and not (name == "D_hat" and loop.blind):
+            todo = f"leave {name} out" + (", or give 0 for no prediction" if name == "D_hat" else "")
+            raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; {todo}")
+    loop.measurement.check(plant, loop.observer and len(loop.observer.outputs))
     if loop.disturbance is not None and not callable(loop.disturbance):
         raise ConfigError(f"disturbance: expected a function of t, got {loop.disturbance!r}; write lambda t: [0.1]")
     if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
-        raise ConfigError(
-            f"truth: expected a plant with {plant.n} states and {plant.m} inputs, got {truth!r}; give one"
-        )
+        what = f"expected a plant with {plant.n} states and {plant.m} inputs"
+        raise ConfigError(f"truth: {what}, got {truth!r}; give one")
     if truth is not None and truth.declares_delay != plant.declares_delay:
         raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
 
 
-def actuator_state(name: Any) -> None:
-    """Raise ConfigError for what is no way to know the actuator state."""
-    if name not in (MEASURED, HISTORY):
-        raise ConfigError(unlisted("actuator", name, (MEASURED, HISTORY)))
-
-
 def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
-    """What a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
+    """The values that a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
 
     Raises ConfigError for another shape or a number that is not finite.
     """
     array = array_checks.floats("disturbance(t)", value)
     if not array_checks.fits(array.shape, (*shape, m)) or not np.isfinite(array).all():
         each = f", or an array {(*shape, m)}" if shape else ""
-        raise ConfigError(
-            f"disturbance(t): expected {m} finite numbers, one per input{each}, got {value!r}; return a list"
-        )
+        what = f"expected {m} finite numbers, one per input{each}"
+        raise ConfigError(f"disturbance(t): {what}, got {value!r}; return a list")
     return np.broadcast_to(array, (*(shape if array.ndim > 1 else ()), m)).reshape(-1, m)
 
 
-def times(t_end: Any, dt: Any, measurement: Measurement | None = None) -> None:
-    """Raise ConfigError for what is no length of a loop or no control step of it, or for samples between two steps."""
+def times(loop: Loop, t_end: Any, every: Any) -> None:
+    """Raise ConfigError for what is no length of a loop or no control step of it, and for samples or kept states
+    between two steps.
+    """
+    dt, period = loop.dt, loop.measurement.period
+    if not isinstance(every, int | np.integer) or every < 1:
+        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; give 1, 2, …")
     if not 0 < array_checks.number("dt", dt) <= array_checks.number("t_end", t_end) < np.inf:
         raise ConfigError(f"dt, t_end: expected 0 < dt <= t_end, got dt = {dt}, t_end = {t_end}")
-    period = None if measurement is None else measurement.period
     if period is not None and period < dt * (1 - ROUNDING):
         cure = "raise it, or leave it out for a sample each step"
         raise ConfigError(f"measurement: expected a period of at least dt = {dt:g}, got {period:g}; {cure}")
@@ -128,25 +111,45 @@ def history(plant: Plant, reach: float, dt: float) -> None:
     array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
 
 
-MADE = {
-    "plant": "make one with npred.plant",
-    "predictor": "make one with npred.predictor or npred.load",
-    "adaptation": "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), or give None, which freezes D_hat",
-}
+KINDS = {
+    "plant": (Plant, "a Plant", "make one with npred.plant"),
+    "predictor": (Predictor, "a Predictor", "make one with npred.predictor or npred.load"),
+    "adaptation": (
+        DelayLaw, "a DelayLaw",
+        "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), or give None, which freezes D_hat",
+    ),
+    "measurement": (Measurement, "an npred.Measurement", "make one"),
+    "safety": (SafetyFilter, "npred.SafetyFilter", "make one"),
+    "observer": (Observer, "one of npred.observers", "make one"),
+    "watchdog": (Watchdog, "npred.Watchdog", "make one"),
+    "timing": (Timing, "an npred.Timing", "make one"),
+}  # fmt: skip
 
 
-def parts(plant: Any, predictor: Any, adaptation: Any, every: Any = 1) -> None:
-    """Raise ConfigError for a part of the wrong kind, or a predictor of another plant."""
-    kinds = {"plant": (plant, Plant), "predictor": (predictor, Predictor), "adaptation": (adaptation, DelayLaw)}
-    for name, (thing, kind) in kinds.items():
-        if not isinstance(thing, kind) and (thing is not None or name == "plant"):
-            raise ConfigError(f"{name}: expected a {kind.__name__}, got {thing!r}; {MADE[name]}")
+def parts(loop: Loop) -> None:
+    """Raise ConfigError for a part of the wrong kind, or of another plant.
+
+    A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas.
+    """
+    for name, (kind, expected, todo) in KINDS.items():
+        value = getattr(loop, name)
+        if not isinstance(value, kind) and (value is not None or name in ("plant", "measurement")):
+            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {todo}")
+    if loop.actuator not in (MEASURED, HISTORY):
+        raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
+    plant, predictor = loop.plant, loop.predictor
     if predictor is not None:
-        _same_plant(plant, predictor)
-    if adaptation is not None:
-        adaptation.check(plant)
-    if not isinstance(every, int | np.integer) or every < 1:
-        raise ConfigError(f"every: expected a whole number of steps from 1 on, got {every!r}; give 1, 2, …")
+        other = predictor.plant
+        alike = (other.n, other.m) == (plant.n, plant.m)
+        if alike and (predictor.compiled or predictor.guard is not None):
+            alike = (other.program, other.parameters) == (plant.program, plant.parameters)
+            alike = alike and np.array_equal(other.ratios, plant.ratios)
+        if not alike:
+            came = f"got one of {other.name} with {other.parameters}"
+            what = f"expected one of plant {plant.name} with its parameters, {came}"
+            raise ConfigError(f"predictor: {what}; build it for this plant")
+    if loop.adaptation is not None:
+        loop.adaptation.check(plant)
 
 
 def integrator(name: Any, *plants: Plant) -> type[OneStep]:
@@ -157,17 +160,3 @@ def integrator(name: Any, *plants: Plant) -> type[OneStep]:
     for plant in plants:
         problem_of(plant).needs(kind.name)
     return kind
-
-
-def _same_plant(plant: Plant, predictor: Predictor) -> None:
-    """A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas."""
-    other = predictor.plant
-    alike = (other.n, other.m) == (plant.n, plant.m)
-    if alike and (predictor.compiled or predictor.guard is not None):
-        alike = (other.program, other.parameters) == (plant.program, plant.parameters)
-        alike = alike and np.array_equal(other.ratios, plant.ratios)
-    if not alike:
-        raise ConfigError(
-            f"predictor: expected one of plant {plant.name} with its parameters, got one of {other.name} with "
-            f"{other.parameters}; build it for this plant"
-        )

@@ -1,4 +1,4 @@
-"""What the controller sees of the plant: noise, a sampling period with jitter, a delay, dropped samples.
+"""The controller's view of the plant: noise, a sampling period with jitter, a delay, dropped samples.
 
 Between samples the state is predicted from the last one by the controller's own model, with the commands that have
 reached the plant since, as the controller believes. Random numbers are a function of the seed, the loop, the step and
@@ -23,6 +23,20 @@ Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
 PerState: TypeAlias = float | Sequence[float]
 
 
+def share(label: str, name: str, number: Any, highest: float = 1.0) -> None:
+    """Raise ConfigError for what is no number from 0 up to the highest, not included."""
+    value = array_checks.number(f"{label}: {name}", number)
+    if not 0 <= value < highest:
+        room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
+        raise ConfigError(f"{label}: expected {name} {room}, got {value:g}; give another")
+
+
+def whole(label: str, name: str, number: Any) -> None:
+    """Raise ConfigError for what is no whole number of 64 bits."""
+    if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:
+        raise ConfigError(f"{label}: expected a whole number of 64 bits as {name}, got {number!r}; give one")
+
+
 @dataclass(frozen=True)
 class Sensors:
     """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period`.
@@ -37,7 +51,7 @@ class Sensors:
 
     noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
     absolute: PerState = field(default=0.0, kw_only=True)  #: the same, in units of the state
-    bias: PerState = field(default=0.0, kw_only=True)  #: of each sample, in units of the state
+    bias: PerState = field(default=0.0, kw_only=True)  #: offset of each sample, in units of the state
     resolution: PerState = field(default=0.0, kw_only=True)  #: step of the sensor, in units of the state; 0 for none
     period: float | None = None  #: between samples, in the plant's unit of time; by default the control step
     jitter: float = 0.0  #: largest deviation of a period, relative to it
@@ -59,11 +73,9 @@ class Sensors:
             else:
                 array_checks.at_least_0("measurement", values, name)
             object.__setattr__(self, name, tuple(values.tolist()) if values.ndim else float(values))
-        for name, highest in (("delay", math.inf), ("jitter", 1.0), ("drop", 1.0)):
-            value = array_checks.number(f"measurement: {name}", getattr(self, name))
-            if not 0 <= value < highest:
-                room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
-                raise ConfigError(f"measurement: expected {name} {room}, got {value:g}; give another")
+        share("measurement", "delay", self.delay, math.inf)
+        share("measurement", "jitter", self.jitter)
+        share("measurement", "drop", self.drop)
         if self.jitter and self.period is None:
             raise ConfigError("measurement: expected a period that jitter spreads, got none; give period")
 
@@ -96,16 +108,11 @@ class Measurement(Sensors):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("seed", "first"):
-            number = getattr(self, name)
-            if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:
-                raise ConfigError(
-                    f"measurement: expected a whole number of 64 bits as {name}, got {number!r}; give one"
-                )
+        whole("measurement", "seed", self.seed)
+        whole("measurement", "first", self.first)
         if self.observer is not None and not callable(self.observer):
-            raise ConfigError(
-                f"measurement: expected a function of X_hat, Y, U and t as observer, got {self.observer!r}; write one"
-            )
+            what = "expected a function of X_hat, Y, U and t as observer"
+            raise ConfigError(f"measurement: {what}, got {self.observer!r}; write one")
 
     @property
     def perfect(self) -> bool:
@@ -140,9 +147,8 @@ def observed(observer: Observer) -> Callable[..., None]:
             X_hat[:] = Y
         values = np.asarray(observer(X_hat.T.copy(), Y.T.copy(), U.T, k * dt), dtype=float)
         if values.shape != X_hat.T.shape:
-            raise ConfigError(
-                f"observer: expected to return {X_hat.T.shape}, a row per loop, got {values.shape}; return that"
-            )
+            what = f"expected to return {X_hat.T.shape}, a row per loop"
+            raise ConfigError(f"observer: {what}, got {values.shape}; return that")
         X_hat[:] = values.T
         Y[:] = X_hat  # an observer of the delay takes the state for a sample, since a sample may lack states
 

@@ -10,12 +10,12 @@ from npred.base import grid
 from npred.loop.closed_loop import Trajectories
 from npred.plants.base import Plant
 
-SETTLED = 0.01  # of size(X*): inside this distance a loop counts as settled, and as converged when it ends there
+SETTLED = 0.01  # times size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
-LOST = 0.2  # of size(X*): a loop that ends further away is lost
-TAIL = 0.1  # of the horizon: the radius is the supremum over this last share
+LOST = 0.2  # times size(X*): a loop that ends further away is lost
+TAIL = 0.1  # share of the horizon: the radius is the supremum over this last share
 NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width in seconds of its differences
-CELLS = 4000  # of the horizon, along which the gain of a plant that tracks is integrated
+CELLS = 4000  # parts of the horizon, along which the gain of a plant that tracks is integrated
 
 
 def size(X_star: ArrayLike) -> float:

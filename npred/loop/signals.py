@@ -41,7 +41,7 @@ STATE = [
     *_rows("n", "Y"),  # the samples that arrive now, NaN where none does: X itself by default
     *_rows("m", "D"),  # the delay of each input
     *_rows("m", "D_seen"),  # that by which the controller reads the commands: D itself where u is measured
-    *_rows("m", "speed", start=1.0),  # of phi(t) = t - D
+    *_rows("m", "speed", start=1.0),  # the speed of phi(t) = t - D
     *_lane("longest", start=0.0),  # the plant's longest delay
     Signal("observer", ("observer",)),  # what an observer of the delay remembers
     Signal("past", ("past", "n")),  # the last states
@@ -60,7 +60,9 @@ STATE = [
     *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
     *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
-    *_lane("kept", "filtered", "unkept", start=0.0),  # of a filter: the least h; 1 where it changed U; 1 where in vain
+    *_lane(
+        "kept", "filtered", "unkept", start=0.0
+    ),  # a safety filter: the least h; 1 where it changed U; 1 where in vain
     *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
@@ -69,7 +71,9 @@ STATE = [
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
-    *_rows("outputs", "sample", "innovation", "fate"),  # of an observer of the state: what it gets, and how that fits
+    *_rows(
+        "outputs", "sample", "innovation", "fate"
+    ),  # the sample that an observer of the state gets, and how that fits
     Signal("filter", ("filter",)),  # and what it remembers
 ]
 RECORD = [
@@ -96,11 +100,13 @@ SETTINGS = [
     Signal("oldest", None, 0.0),  # how late a sample may come, in control steps
     Signal("after", None, 0.0),  # how long a watchdog waits for one, in seconds
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
-    *(Signal(name, None, 0, "int") for name in ("recalls", "keeps", "gated", "offsets", "watched", "holds")),
+    Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
+    Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
+    *(Signal(name, None, 0, "int") for name in ("gated", "offsets", "watched", "holds")),
     Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
     Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
-    Signal("output_count", None, 0, "int"),  # of a sample
+    Signal("output_count", None, 0, "int"),  # numbers of a sample
     Signal("end_count", None, 0, "int"),  # predicted states in which limits are kept
     Signal("uncertain", None, 0.0),  # how wrong D_hat may be, in seconds
     *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
@@ -113,7 +119,7 @@ SETTINGS = [
     Signal("ratios", ()),  # (m,), the delay of each input as a share of the longest
     Signal("law", ()),  # what an observer of the delay is set to
     Signal("guard", ()),  # what the guard of the predictor is set to
-    *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # of samples; times in control steps
+    *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # samples; times in control steps
     *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
     *(Signal(name, ()) for name in ("noise", "absolute", "bias", "resolution")),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
@@ -127,32 +133,34 @@ SETTINGS = [
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
 ]
-EVENTS = [  # of one loop on a real clock; times since its start, in control steps
-    *(Signal(name, ("count",)) for name in ("at", "gap", "age")),  # of each control step's call: npred/loop/timing.py
+EVENTS = [  # one loop on a real clock; times since its start, in control steps
+    *(Signal(name, ("count",)) for name in ("at", "gap", "age")),  # each control step's call: npred/loop/timing.py
     *(Signal(name, ("count",), 0, "bool") for name in ("skipped", "lost")),
     Signal("sample", ("count",), -1, "int64"),  # the row of the sample that it gets
     Signal("taken", ("samples",)),
     Signal("number", ("samples",), 0, "int64"),
-    Signal("values", ("samples", "outputs")),  # of the samples
+    Signal("values", ("samples", "outputs")),  # the samples
     Signal("taken_count", (), 0, "int64"),  # samples taken so far
     Signal("at_plant", (), 0.0),  # how far the plant is
-    Signal("sent_at", ("commands",)),  # of the commands that reached the actuator, those before the start too
+    Signal(
+        "sent_at", ("commands",)
+    ),  # when the commands were sent that reached the actuator, those before the start too
     Signal("sent", ("commands", "m")),
     Signal("sent_count", (), 0, "int64"),
     Signal("acting", ("m",), 0, "int64"),  # the number of the command that acts now
     Signal("unsaid", (), 0, "int64"),  # 1 where the last command was lost
     Signal("refusals", (), 0, "int64"),  # calls that gave no U to send
     Signal("X_hat", ("row", "n")),
-    Signal("age_then", ("row",)),  # of the last used sample, in seconds
+    Signal("age_then", ("row",)),  # the age of the last used sample, in seconds
     Signal("handed_over", ("row",), 0, "bool"),  # whether the watchdog has U
     Signal("sample_count", None, 0, "int64"),
     Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost
 ]
 PARTS = {
-    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "believe": family.HORIZON,
+    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "model_delay": family.HORIZON,
     "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
-    "pace": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
-    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "relief": family.CONTROL, "output": family.OUTPUT,
+    "delay_speed": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
+    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "watchdog_law": family.CONTROL, "output": family.OUTPUT,
     "exact": family.PREDICT, "protect": family.PROTECT,
 }  # fmt: skip
 
@@ -182,19 +190,14 @@ _STRUCTURES: dict[type, Any] = {
 Pointers = type("Parts", (ctypes.Structure,), {"_fields_": [(name, ctypes.c_void_p) for name in PARTS]})
 
 
-def declared() -> tuple[str, str]:
-    """The C of the types of the parts and of the stamps of a clock, and of the structs."""
+def declared(events: bool = False) -> tuple[str, str]:
+    """The C of the types of the parts and of the stamps of a clock, and of the structs, that of `events` too."""
     types = {arguments: name.capitalize() for name, arguments in reversed(PARTS.items())}
     parts = [f"typedef {prototype(f'(*{name})', arguments)};" for arguments, name in types.items()]
     pointers = [f"    {types[arguments]} {name};" for name, arguments in PARTS.items()]
-    kinds = ((State, STATE), (Record, RECORD), (Settings, SETTINGS))
-    structs = [_struct(kind.__name__, rows) for kind, rows in kinds] + [_braced("Parts", pointers)]
+    kinds = {"State": STATE, "Record": RECORD, "Settings": SETTINGS} | ({"Events": EVENTS} if events else {})
+    structs = [_struct(name, rows) for name, rows in kinds.items()] + [_braced("Parts", pointers)]
     return "\n".join([*parts, clock.declared()]), "\n".join(structs)
-
-
-def declared_events() -> str:
-    """The C of the struct of what happens on a real clock."""
-    return _struct("Events", EVENTS)
 
 
 def _struct(name: str, rows: Iterable[Signal]) -> str:
@@ -210,6 +213,11 @@ def memory(rows: Iterable[Signal], sizes: Mapping[str, int], lanes: int, arrays:
     shapes = {s.name: (*(sizes[axis] for axis in s.axes or ()), lanes) for s in rows if s.name not in arrays}
     new = {s.name: np.full(shapes[s.name], s.start, dtype=s.kind) for s in rows if s.name not in arrays}
     return {s.name: arrays.get(s.name, new.get(s.name)) for s in rows}
+
+
+def joined(records: Iterable[Record]) -> Record:
+    """The lanes of several records, one after the other."""
+    return Record(*(np.concatenate(arrays, axis=-1) for arrays in zip(*records, strict=True)))
 
 
 def structure(values: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What an engineer may want to know of a controller after each call."""
+"""The state of a controller after each call, for people."""
 
 from typing import NamedTuple
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.loop.measurement import Measurement
+from npred.loop.measurement import Measurement, share, whole
 
-ROUNDING = 1e-9  # of a control step: positions this close to a step's start are on it
-SNAP = 1e-6  # of a control step: times this close to a regular clock's are on it
+ROUNDING = 1e-9  # in control steps: positions this close to a step's start are on it
+SNAP = 1e-6  # in control steps: times this close to a regular clock's are on it
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
 GAP, DROP, CALL, OVERRUN, LOST = 2, 3, 5, 6, 7
 FIRST = np.uint64(0x9E3779B97F4A7C15)
@@ -35,18 +35,13 @@ class ControlClock:
     stop_every: float | None = None  #: … of each period of this length, both in the plant's unit of time
 
     def __post_init__(self) -> None:
-        for name, highest in (("jitter", 0.5), ("lost", 1.0), ("overrun", 1.0)):
-            value = array_checks.number(f"timing: {name}", getattr(self, name))
-            if not 0 <= value < highest:
-                raise ConfigError(
-                    f"timing: expected {name} from 0 up to {highest:g}, not included, got {value:g}; give another"
-                )
+        share("timing", "jitter", self.jitter, 0.5)
+        share("timing", "lost", self.lost)
+        share("timing", "overrun", self.overrun)
         every = math.inf if self.stop_every is None else array_checks.number("timing: stop_every", self.stop_every)
         if not 0 <= (stop := array_checks.number("timing: stop", self.stop)) < every or bool(stop) == math.isinf(every):
-            raise ConfigError(
-                f"timing: expected 0 < stop < stop_every, or neither, got {self.stop!r} and {self.stop_every!r}; "
-                "give two times"
-            )
+            came = f"got {self.stop!r} and {self.stop_every!r}"
+            raise ConfigError(f"timing: expected 0 < stop < stop_every, or neither, {came}; give two times")
 
 
 @dataclass(frozen=True)
@@ -57,12 +52,11 @@ class Timing(ControlClock):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.seed, int | np.integer) or not -(2**63) <= self.seed < 2**63:
-            raise ConfigError(f"timing: expected a whole number of 64 bits as seed, got {self.seed!r}; give one")
+        whole("timing", "seed", self.seed)
 
 
 class Schedule(NamedTuple):
-    """What happens to a loop of K control steps, in control steps: of each one the call at `at` (K,), `gap` after the
+    """The events of a loop of K control steps, in control steps: of each one the call at `at` (K,), `gap` after the
     one before; `skipped`, `lost` (K,); `sample` (K,) is the row of the sample that it gets, -1 without a new one, of
     the age `age` (K,). Of each sample (S,) when it is `taken`, and its `number`.
     """
@@ -90,7 +84,13 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     skipped = uniform(timing.seed, loop, steps, OVERRUN) < timing.overrun
     skipped[0] = False
     lost = uniform(timing.seed, loop, steps, LOST) < timing.lost
-    taken = at[~skipped] if measurement.period is None else _regular(measurement, dt, at[-1], loop)
+    taken = at[~skipped]
+    if measurement.period is not None:  # by the sensors' clock
+        period = measurement.period / dt
+        numbers = np.arange(math.ceil(at[-1] / (period * (1 - measurement.jitter))) + 2)
+        gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
+        taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
+        taken = taken[taken <= at[-1] + ROUNDING]
     number = np.arange(len(taken))
     kept = uniform(measurement.seed, loop, number, DROP) >= measurement.drop
     if timing.stop_every is not None:
@@ -101,26 +101,16 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     arrives[0] = 0.0
     called = np.flatnonzero(~skipped)
     gap, sample, age = np.ones(count), np.full(count, -1), np.zeros(count)
-    gap[called[1:]] = _snapped(np.diff(at[called]))
+    gap[called[1:]] = snapped(np.diff(at[called]))
     newest = np.searchsorted(arrives, at[called] + ROUNDING, side="right") - 1
     new = np.diff(newest, prepend=-1) > 0
     sample[called[new]] = newest[new]
-    age[called[new]] = np.maximum(_snapped(at[called[new]] - taken[newest[new]]), 0.0)
+    age[called[new]] = np.maximum(snapped(at[called[new]] - taken[newest[new]]), 0.0)
     return Schedule(at, gap, skipped, lost, sample, age, taken, number)
 
 
-def _regular(measurement: Measurement, dt: float, end: float, loop: int) -> np.ndarray:
-    """When samples are taken, up to `end`, by the sensors' clock."""
-    assert measurement.period is not None
-    period = measurement.period / dt
-    numbers = np.arange(math.ceil(end / (period * (1 - measurement.jitter))) + 2)
-    gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
-    taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
-    return taken[taken <= end + ROUNDING]
-
-
-def _snapped(steps: np.ndarray) -> np.ndarray:
-    """Numbers of control steps, whole where they are nearly, as a controller takes them."""
+def snapped(steps: np.ndarray | float) -> np.ndarray:
+    """Numbers of control steps, whole where they are nearly."""
     return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
 
 

@@ -1,4 +1,4 @@
-"""What closed loops leave: their series, what was asked for of single steps, and what became of them."""
+"""The record of closed loops: their series, chosen single steps, and their ends."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -13,22 +13,8 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, Predictor
 
-# arrays led by the batch's axes
-SERIES = (
-    "X",
-    "U",
-    "D_hat",
-    "N",
-    "energy",
-    "escaped",
-    "P",
-    "infeasible",
-    "fallback",
-    "fallbacks",
-    "filtered",
-    "changes",
-    "unkept",
-)  # a record's too
+# a record's arrays, led by the batch's axes
+SERIES = tuple(name for name in Record._fields if not name.startswith("sample") and name != "breach")
 LOOPS = (*SERIES, "margin", "breach")
 
 
@@ -43,7 +29,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class OnAClock:
-    """What loops on a real clock leave beside the series of all loops; rows are those times.
+    """The record that loops on a real clock add to the series of all loops; rows are those times.
 
     `X_hat` (..., nt, n) is the state that the controller predicted from, `age` (..., nt) how old its last used sample
     is, in seconds, `handed_over` (..., nt) whether the watchdog has U. Of each loop (...): the calls that were
@@ -153,22 +139,23 @@ class Trajectories:
     def part(self, rows: slice) -> "Trajectories":
         """The loops `rows` of a batch with one axis."""
         cut = {name: getattr(self, name)[rows] for name in LOOPS}
-        clock = self.clock and OnAClock(**{f.name: getattr(self.clock, f.name)[rows] for f in fields(OnAClock)})
-        taken = {f.name: getattr(self.samples, f.name)[rows] for f in fields(Samples)}
-        return replace(self, samples=Samples(**taken), clock=clock, **cut)
+        clock = self.clock and each(lambda a: a[rows], self.clock)
+        return replace(self, samples=each(lambda a: a[rows], self.samples), clock=clock, **cut)
 
     @classmethod
     def joined(cls, parts: Sequence["Trajectories"]) -> "Trajectories":
         """The loops of several batches of one axis and the same times, one batch after the other."""
 
-        def join(of: Sequence[Any], names: Sequence[str]) -> dict[str, np.ndarray]:
-            return {name: np.concatenate([getattr(part, name) for part in of]) for name in names}
+        first, clocks = parts[0], [part.clock for part in parts if part.clock]
+        clock = each(lambda *arrays: np.concatenate(arrays), *clocks) if clocks else None
+        samples = each(lambda *arrays: np.concatenate(arrays), *(part.samples for part in parts))
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in LOOPS}
+        return replace(first, samples=samples, clock=clock, **arrays)
 
-        samples = Samples(**join([part.samples for part in parts], [f.name for f in fields(Samples)]))
-        clocks, clock = [part.clock for part in parts], parts[0].clock
-        if clock is not None:
-            clock = OnAClock(**join(clocks, [f.name for f in fields(OnAClock)]))
-        return replace(parts[0], samples=samples, clock=clock, **join(parts, LOOPS))
+
+def each(change: Callable[..., np.ndarray], *of: Any) -> Any:
+    """Samples or OnAClock of the arrays of one or several that `change` makes one of."""
+    return type(of[0])(**{f.name: change(*(getattr(part, f.name) for part in of)) for f in fields(of[0])})
 
 
 def of_record(
@@ -187,9 +174,7 @@ def of_record(
     samples = Samples(lead(r.sample_X[:-1]), lead(r.sample_u[:-1]), lead(r.sample_D_hat[:-1]))
     series = {name: lead(getattr(r, name)) for name in SERIES}
     times = np.arange(len(r.X)) * step
-    if clock is not None:
-        arrays = {f.name: getattr(clock, f.name) for f in fields(OnAClock)}
-        clock = OnAClock(**{name: a.reshape((*shape, *a.shape[1:])) for name, a in arrays.items()})
+    clock = clock and each(lambda a: a.reshape((*shape, *a.shape[1:])), clock)
     return Trajectories(
         t=times, samples=samples, states=plant.states, inputs=plant.inputs, time_unit=plant.time_unit,
         labels=plant.labels, units=plant.units, margin=lead(margins(r, plant, truth, predictor)),

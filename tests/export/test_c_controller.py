@@ -263,7 +263,7 @@ def test_estimate_and_time_can_be_set_as_in_python(cases, tmp_path, name, D_hat,
         steps(1.2 * np.array(start))
     else:
         steps(np.array(start) + 2.0, 1)  # too far, had something been expected
-        assert controller.missed == 0
+        assert controller.status.missed == 0
     before = bytes(run.state())
     assert (set_D_hat(wrong), set_D_hat(np.nan), set_time(np.inf), set_time(np.nan)) == (3, 3, 3, 3)
     assert u or run.library.npred_applied(run.memory, (ctypes.c_double * 2)(0.1, np.nan)) == 3

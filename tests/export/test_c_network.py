@@ -13,7 +13,7 @@ from operator_samples import PLANT, SMALL, holding, operator, phased, samples, s
 
 import npred
 from npred.base.errors import NpredError
-from npred.exports import TrainedNetwork, c_files, c_network
+from npred.exports import NetworkAlone, c_files, c_network
 from npred.kernels.c_text import comment
 from npred.lab.training.neural import Neural
 from npred.lab.training.operators import Scaling, build
@@ -34,7 +34,7 @@ def once(request, tmp_path_factory):
     """A model and the text of its file."""
     config, anchor = request.param
     model, path = operator(config, anchor=anchor), tmp_path_factory.mktemp("c") / "model.c"
-    c_network.export(TrainedNetwork(model, PLANT, 21, probe()), path)
+    c_network.export(NetworkAlone(model, PLANT, 21, probe()), path)
     return model, path.read_text()
 
 
@@ -66,7 +66,7 @@ def test_its_own_test_passes(exported):
 def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     samples = probe(9)
     model = operator(SMALL[0]).double()
-    network = TrainedNetwork(model, PLANT, 21, samples)
+    network = NetworkAlone(model, PLANT, 21, samples)
     facts = c_network.export(network, tmp_path / "model.c").facts
     P = Neural(PLANT, model, 21)(*samples)
     exact = npred.predictor("rk4", PLANT, 21)(*samples)
@@ -92,7 +92,7 @@ def test_several_inputs(tmp_path):
     plant, data = several_inputs()
     model = build(SMALL[0], plant, Scaling.of(data))
     samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
-    c_network.export(TrainedNetwork(model, plant, 11, samples), tmp_path / "two.c")
+    c_network.export(NetworkAlone(model, plant, 11, samples), tmp_path / "two.c")
     assert subprocess.run([compiled(tmp_path / "two.c", "-DNPRED_TEST")], timeout=60).returncode == 0
 
 
@@ -101,7 +101,7 @@ def test_a_law_that_depends_on_time_is_tested_at_another_than_zero(tmp_path):
     plant, data = holding()
     samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
     model = build(SMALL[0], plant, Scaling.of(data))
-    c_network.export(TrainedNetwork(model, plant, 11, samples), tmp_path / "model.c")
+    c_network.export(NetworkAlone(model, plant, 11, samples), tmp_path / "model.c")
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     text = (tmp_path / "model.c").read_text()
     (tmp_path / "model.c").write_text(re.sub(r"(?<!double )\bsine\(", "0 * sine(", text))
@@ -115,7 +115,7 @@ def test_several_delays_and_a_phase_of_the_time(tmp_path, config, anchor):
     plant, data, t = phased()
     model = build(config.model_copy(update={"anchor": anchor}), plant, Scaling.of(data))
     samples = data.X, data.u, data.D_hat, np.linspace(1.0, 9.0, len(data.X))
-    c_network.export(TrainedNetwork(model, plant, 13, samples), tmp_path / "model.c")
+    c_network.export(NetworkAlone(model, plant, 13, samples), tmp_path / "model.c")
     assert subprocess.run([compiled(tmp_path / "model.c", "-DNPRED_TEST")], timeout=60).returncode == 0
     library = ctypes.CDLL(str(compiled(tmp_path / "model.c", "-shared", "-fPIC")))
     exact = Neural(plant, model.double(), 13)(data.X, data.u, data.D_hat, t)
@@ -156,7 +156,7 @@ def test_equals_the_model_on_other_samples(exported):
 @needs_gcc
 def test_the_example_of_the_documentation_is_the_model(tmp_path):
     model = operator(SMALL[0])
-    c_network.export(TrainedNetwork(model, PLANT, 21, probe()), tmp_path / "deeponet.c")
+    c_network.export(NetworkAlone(model, PLANT, 21, probe()), tmp_path / "deeponet.c")
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     example = re.findall(r"^```c\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0]
     (tmp_path / "main.c").write_text(example)

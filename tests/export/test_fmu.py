@@ -183,7 +183,7 @@ def test_a_wrong_sample_is_predicted_over_as_in_python(instance):
     for k in range(40):
         X = np.array(POSE) + 9.0 * (k in (20, 21))
         np.testing.assert_allclose(run.step(X), controller.step(X), rtol=1e-12)
-        assert controller.missed == (k - 19 if k in (20, 21) else 0)
+        assert controller.status.missed == (k - 19 if k in (20, 21) else 0)
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -320,9 +320,9 @@ def test_the_outputs_are_those_of_the_last_control_step(instance):
         assert run.get("D_hat") == pytest.approx(controller.D_hat, rel=1e-13)
         predicted = [run.get(f"predicted.{name}") for name in PLANT.states]
         np.testing.assert_allclose(predicted, controller.P[-1], rtol=1e-12)
-        assert run.get("error") == pytest.approx(controller.error, rel=1e-9)
-        assert run.flag("fallback") == controller.fallback
-        fallbacks.add(controller.fallback)
+        assert run.get("error") == pytest.approx(controller.status.error, rel=1e-9)
+        assert run.flag("fallback") == controller.status.fallback
+        fallbacks.add(controller.status.fallback)
     assert fallbacks == {False, True}
 
 

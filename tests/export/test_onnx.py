@@ -11,7 +11,7 @@ import npred
 from npred import plants
 from npred.base.errors import MissingError
 from npred.base.registry import short_name
-from npred.exports import TrainedNetwork
+from npred.exports import NetworkAlone
 from npred.exports import onnx as runtime
 from npred.lab.training.neural import Neural
 from npred.lab.training.operators import Scaling, build
@@ -29,7 +29,7 @@ def export(tmp_path_factory):
         if config.architecture not in made:
             model, path = operator(config).eval(), tmp_path_factory.mktemp("onnx") / "model.onnx"
             data = samples(30, 21)
-            network = TrainedNetwork(model, PLANT, 21, (data.X, data.u, data.D_hat, np.zeros(30)))
+            network = NetworkAlone(model, PLANT, 21, (data.X, data.u, data.D_hat, np.zeros(30)))
             made[config.architecture] = model, path, runtime.export(network, path, atol=1e-3).facts["error"]
         return made[config.architecture]
 
@@ -70,7 +70,7 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     loop = npred.simulate(plant, Neural(plant, model, nx), D=0.3, D_hat=0.4, X0=[0.3, 0.6, 0.0, 0.0], t_end=1.0,
                           dt=0.05, samples=np.arange(20))  # fmt: skip
     probe = loop.samples.X, loop.samples.u, loop.samples.D_hat
-    network = TrainedNetwork(model, plant, nx, (*probe, loop.t[:20]))
+    network = NetworkAlone(model, plant, nx, (*probe, loop.t[:20]))
     assert runtime.export(network, tmp_path / "arm.onnx", atol=1e-3).facts["error"] < 1e-3
     session = runtime.session((tmp_path / "arm.onnx").read_bytes())
     assert [i.name for i in session.get_inputs()] == ["X", "u", "D_hat", "t"]
@@ -84,7 +84,7 @@ def test_several_delays_and_a_phase_of_the_time(tmp_path, config):
     plant, data, t = phased()
     model = build(config, plant, Scaling.of(data)).eval()
     probe = data.X, data.u, data.D_hat
-    network = TrainedNetwork(model, plant, 13, (*probe, t))
+    network = NetworkAlone(model, plant, 13, (*probe, t))
     assert runtime.export(network, tmp_path / "m.onnx", atol=1e-3).facts["error"] < 1e-3
     session = runtime.session((tmp_path / "m.onnx").read_bytes())
     feed = dict(zip(["X", "u", "D_hat", "t"], (a.astype(np.float32) for a in (*probe, t)), strict=True))

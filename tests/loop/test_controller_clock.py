@@ -164,7 +164,7 @@ def test_after_a_pause_of_many_histories_nothing_is_expected():
     controller.step([0.5, 0.0], t=0.0)
     with pytest.raises(DivergedError, match="expected finite X"):
         controller.step(None, t=100.0)
-    assert np.isfinite(controller.step([2.9, -4.0], t=100.01)).all() and controller.missed == 0
+    assert np.isfinite(controller.step([2.9, -4.0], t=100.01)).all() and controller.status.missed == 0
 
 
 def test_a_pause_within_the_history_is_predicted_over():

@@ -132,8 +132,8 @@ def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
     for k in range(3):
         U = controller.step(run.samples.X[k], run.samples.u[k])
         np.testing.assert_allclose(U, run.U[k], atol=1e-3)
-        assert controller.fallback == run.fallback[k]
-        assert (controller.error > 0.0025) == controller.fallback
+        assert controller.status.fallback == run.fallback[k]
+        assert (controller.status.error > 0.0025) == controller.status.fallback
 
 
 def test_plants_of_every_family_are_guarded(tmp_path):
@@ -263,7 +263,6 @@ def test_refusals_are_one_line_each():
     heun = npred.predictor("heun", PLANT, NX)
     for refused, call in {
         "tolerance: expected a number above 0": lambda: npred.guarded(heun, 0.0),
-        "by: expected auto or shadow": lambda: npred.guarded(heun, by="both"),
         "guarded: expected a Predictor": lambda: npred.guarded("deeponet"),
         "guarded: expected a model on 5 nodes or more, got 4": lambda: npred.guarded(npred.predictor("heun", PLANT, 4)),
         "u: expected 51 nodes": lambda: npred.guarded(heun)([0.03, 30.0], np.zeros((21, 1)), 1.0),

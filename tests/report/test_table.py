@@ -176,7 +176,7 @@ def test_each_number_of_a_scenario_is_below_the_head_that_names_it():
     }  # fmt: skip
 
 
-CERTIFICATE = numbered(Certificate, by="shadow", bound=[51.0, 52.0, 53.0], ratio=[])
+CERTIFICATE = numbered(Certificate, bound=[51.0, 52.0, 53.0], ratio=[])
 CERTIFIED = {"ε_{κ} of all rollouts": "eps_kappa", "median": "median", "adversary": "adversarial",
              "calls above the tolerance": "above", "unnoticed": "unnoticed", "blind spots": "blind", "lost": "lost",
              "guarded": "lost_guarded", "fallback": "fallback", "bounded": "bounded"}  # fmt: skip

@@ -1,4 +1,4 @@
-"""What an observer of the state is: two kernels of one lane on a memory, and what is assumed of a plant by default."""
+"""An observer of the state: two kernels of one lane on a memory, and what is assumed of a plant by default."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -16,12 +16,12 @@ from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant, require
 from npred.prediction.delays import family
 
-POINTS = 64  # of the box, at which the sizes of f, kappa and the outputs are looked at
+POINTS = 64  # places in the box, at which the sizes of f, kappa and the outputs are looked at
 TINY = 1e-9  # relative: what is no more than a rounding error
 
 
 class Sizes(NamedTuple):
-    """What is usual of a plant: states x and their half ranges dx (n,), sizes of f (n,), half ranges of the inputs du
+    """Usual sizes of a plant: states x and their half ranges dx (n,), sizes of f (n,), half ranges of the inputs du
     (m,) and of the outputs dy (l,), and the rate (1/s) of the loop of kappa without delay.
     """
 
@@ -66,11 +66,22 @@ class Observer(ABC):
                 raise ConfigError(unlisted(f"{self.label}: outputs", name, plant.states, "states,"))
         self.offset = offset is not False
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
-        self._check_observable()
+        points = [(*self.operating_point, 0.0)]
+        if not plant.rests:
+            moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
+            points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
+        rank = max(self.rank(*point) for point in points)
+        if rank < self.size:
+            where = "at the equilibrium" if plant.rests else "in the box"
+            what = "states and offsets" if self.offset else "states"
+            cure = "measure more, or leave the offset out" if self.offset else "measure more"
+            what = f"expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}"
+            came = f"got an observability matrix of rank {rank} of {self.size}"
+            raise ConfigError(f"{self.label}: {what}, {came}; {cure}")
 
     @property
     def label(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         return type(self).__name__
 
     @property
@@ -79,7 +90,7 @@ class Observer(ABC):
         return self.plant.n + self.plant.m * self.offset
 
     def __getstate__(self) -> dict[str, Any]:
-        """What it is made of; what was compiled is made again on use."""
+        """Its parts without those that were compiled, which are made again on use."""
         compiled = {name for name in dir(type(self)) if isinstance(getattr(type(self), name), cached_property)}
         return {name: value for name, value in vars(self).items() if name not in compiled}
 
@@ -112,7 +123,7 @@ class Observer(ABC):
 
     @cached_property
     def sizes(self) -> Sizes:
-        """What is usual of the plant, by points of its box: all at the input that kappa gives at t = 0."""
+        """The usual sizes of the plant, by points of its box: all at the input that kappa gives at t = 0."""
         plant, (x, u), (X, ends) = self.plant, self.operating_point, self._box
         with np.errstate(all="ignore"):
             U = plant.kappa(X)
@@ -204,24 +215,6 @@ class Observer(ABC):
         ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a)))) for name, a in point]
         low, high = np.array(ends).T
         return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
-
-    def _check_observable(self) -> None:
-        """Raise ConfigError where the linearised plant is not observable at the equilibrium. A plant that does not rest
-        has to be observable at one point of its box at least.
-        """
-        plant, points = self.plant, [(*self.operating_point, 0.0)]
-        if not plant.rests:
-            moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
-            points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
-        rank = max(self.rank(*point) for point in points)
-        if rank < self.size:
-            where = "at the equilibrium" if plant.rests else "in the box"
-            what = "states and offsets" if self.offset else "states"
-            cure = "measure more, or leave the offset out" if self.offset else "measure more"
-            raise ConfigError(
-                f"{self.label}: expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}, "
-                f"got an observability matrix of rank {rank} of {self.size}; {cure}"
-            )
 
 
 def _finite(rows: np.ndarray) -> np.ndarray:

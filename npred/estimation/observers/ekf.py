@@ -17,8 +17,8 @@ from npred.prediction.delays import family
 from npred.prediction.methods.runge_kutta import RK4
 
 MODEL = 0.1  # the share of f that the model does not know, by default
-NOISE = 0.01  # of the half range of an output
-OFFSET = 0.1  # of the half range of an input, in the time in which the loop moves
+NOISE = 0.01  # times the half range of an output
+OFFSET = 0.1  # times the half range of an input, in the time in which the loop moves
 
 
 class EKF(Observer):

@@ -64,10 +64,8 @@ class Luenberger(Observer):
             raise ConfigError(f"Luenberger: rate expected 1/s above 0, got {rate}; try {self.sizes.rate:.3g}")
         A, C = self.linearised(*self.operating_point)
         if self.rank(*self.operating_point) < self.size:
-            raise ConfigError(
-                f"Luenberger: expected {', '.join(self.outputs)} to tell all of plant {plant.name} at t = 0, "
-                "got outputs that do not; take the EKF"
-            )
+            what = f"expected {', '.join(self.outputs)} to tell all of plant {plant.name} at t = 0"
+            raise ConfigError(f"Luenberger: {what}, got outputs that do not; take the EKF")
         self.L = smallest_gain(A, C, self.sizes.dy, self.rate)
         fastest = max(np.abs(np.linalg.eigvals(matrix)).max() for matrix in (A, A - self.L @ C, self.L @ C))
         self.settings = np.concatenate([[STEP / fastest], self.L.ravel(), self.sizes.dy**2])

@@ -23,7 +23,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
         .u = (npred_real *)u, .u_nodes = (npred_real *)u_nodes, .X_hat = self->Y, .Y = self->Y, .P = self->P,
         .U = self->U, .phi = self->phi, .N = self->N, .error = self->error, .fallback = self->fallback,
     };
-#if KEEPS
+#if KEEPS_COMMANDS
     state.held = self->saved.held;
     state.total = self->saved.total;
     state.clock = self->saved.clock;
@@ -31,7 +31,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
 #if WATCHES
     state.observer = self->saved.observer;
 #endif
-#if RECALLS
+#if READS_COMMANDS
     state.X_hat = self->X_hat;
     state.expected = self->expected;
     state.missed = self->saved.missed;
@@ -72,7 +72,7 @@ void npred_init(npred_controller *self)
     self->saved.phi_before[0] = self->error[0] = NAN;
     self->saved.D_hat[0] = (npred_real)NPRED_D_HAT;
     self->saved.t0 = NPRED_T0;
-#if KEEPS
+#if KEEPS_COMMANDS
     const npred_real first = (npred_real)(NPRED_ROWS - 1);
     for (int row = 0; row < NPRED_ROWS; row++) {
         for (int i = 0; i < NPRED_M_INPUTS; i++) {
@@ -86,10 +86,10 @@ void npred_init(npred_controller *self)
         self->saved.observer[i] = NAN;
     }
 #endif
-#if KEEPS
+#if KEEPS_COMMANDS
     npred_set(NPRED_CLOCK, the_clock, self->saved.clock);
 #endif
-#if RECALLS
+#if READS_COMMANDS
     for (int i = 0; i < NPRED_N_OUTPUTS; i++) {
         self->innovation[i] = NAN;
     }
@@ -143,14 +143,14 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
     fits = fits && state->checksum == npred_checksum(state);
     fits = fits && isfinite(npred_time(state)) && state->steps >= 0;
     fits = fits && npred_within(state->D_hat[0]) && !isinf(state->phi_before[0]);
-#if KEEPS
+#if KEEPS_COMMANDS
     fits = fits && state->clock[AT] >= NPRED_ROWS - 2 && state->clock[AT] < 2 * NPRED_ROWS;
     fits = fits && isfinite(state->clock[LAG]);
 #endif
 #if FILTERS
     fits = fits && all_finite(NPRED_FILTER, state->filter);
 #endif
-#if KEEPS
+#if KEEPS_COMMANDS
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->held);
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->total);
 #endif
@@ -179,11 +179,11 @@ int npred_set_time(npred_controller *self, double t)
     self->saved.t0 = t;
     self->saved.steps = 0;
     self->saved.phi_before[0] = NAN;
-#if KEEPS
+#if KEEPS_COMMANDS
     const Clock clock = clock_of(the_shape, self->saved.clock);
     forget(the_shape, NPRED_N_OUTPUTS, clock);
 #endif
-#if RECALLS
+#if READS_COMMANDS
     self->saved.missed[0] = 0;
 #endif
     return NPRED_OK;
@@ -222,7 +222,7 @@ static int npred_call(npred_controller *self, double t, double gap, const npred_
     return code;
 }
 
-#if KEEPS
+#if KEEPS_COMMANDS
 int npred_applied(npred_controller *self, const npred_real *U)
 {
     if (!all_finite(NPRED_M_INPUTS, U)) {
@@ -234,7 +234,7 @@ int npred_applied(npred_controller *self, const npred_real *U)
 }
 #endif
 
-#if RECALLS
+#if READS_COMMANDS
 int npred_step(npred_controller *self, const npred_real *X, npred_real *U)
 {
     return npred_call(self, npred_time(&self->saved), 1.0, X, 0.0, self->u, self->u_nodes, U);
@@ -316,7 +316,7 @@ static int test_call(npred_controller *c, int s, npred_real *U)
 {
     static npred_saved saved;
     const int does = test_does[s];
-#if RECALLS
+#if READS_COMMANDS
     const npred_real *X = does & TEST_SAMPLED ? test_X + s % TEST_ROWS * NPRED_N_OUTPUTS : NULL;
 #else
     const npred_real *X = test_X + s % TEST_ROWS * NPRED_N_STATES;
@@ -339,7 +339,7 @@ static int test_call(npred_controller *c, int s, npred_real *U)
     if (does & TEST_TIME) {
         npred_set_time(c, test_t[s]);
     }
-#if RECALLS
+#if READS_COMMANDS
     if (does & TEST_APPLIED) {
         npred_real applied[NPRED_M_INPUTS];
         for (int i = 0; i < NPRED_M_INPUTS; i++) {

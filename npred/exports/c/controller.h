@@ -32,14 +32,14 @@ typedef struct {
     int64_t steps;
     double t0;
     npred_real D_hat[1], phi_before[1];
-#if KEEPS
+#if KEEPS_COMMANDS
     npred_real held[NPRED_ROWS * NPRED_M_INPUTS], total[NPRED_ROWS * NPRED_M_INPUTS];
     npred_real clock[NPRED_CLOCK];
 #endif
 #if WATCHES
     npred_real observer[NPRED_OBSERVER];
 #endif
-#if RECALLS
+#if READS_COMMANDS
     npred_real missed[1];
 #endif
 #if FILTERS
@@ -54,10 +54,10 @@ typedef struct {
     npred_real error[1], fallback[1], phi[1], N[1];
     npred_real Y[NPRED_N_STATES];
     npred_real U[NPRED_M_INPUTS], D_seen[NPRED_M_INPUTS];
-#if RECALLS
+#if READS_COMMANDS
     npred_real u[NPRED_NX * NPRED_M_INPUTS], u_nodes[NPRED_NX * NPRED_M_INPUTS];
 #endif
-#if RECALLS
+#if READS_COMMANDS
     npred_real X_hat[NPRED_N_STATES], expected[NPRED_N_STATES], innovation[NPRED_N_OUTPUTS];
 #endif
 #if FILTERS
@@ -76,7 +76,7 @@ typedef struct {
     npred_real work[NPRED_WORK];
 } npred_controller;
 
-#if RECALLS
+#if READS_COMMANDS
 /* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
  * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
  * or were too old, `refused` those that were not believed, `missed` the last of these in a row, `renewed` how often
@@ -97,11 +97,11 @@ int npred_set_state(npred_controller *self, const npred_saved *state);
 int npred_set_D_hat(npred_controller *self, npred_real D_hat); /* go on from an estimate, as from a first step */
 int npred_set_time(npred_controller *self, double t); /* go on from another time, likewise */
 const char *npred_version(void);
-#if KEEPS
+#if KEEPS_COMMANDS
 /* What the actuator got since the last step, where that was not its U, or not the one that was held. */
 int npred_applied(npred_controller *self, const npred_real *U);
 #endif
-#if RECALLS
+#if READS_COMMANDS
 /* One control step, each DT: the sample X (N_OUTPUTS) measured now; writes U (M_INPUTS), which it remembers as sent. A
  * sample that the model says cannot be is not believed: npred_get_status. */
 int npred_step(npred_controller *self, const npred_real *X, npred_real *U);

@@ -163,7 +163,7 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     const Clock c = clock_of(d, z->clock);
     const double since = c.stamp[CALLS] > 0.0 ? gap : 1.0, to = c.stamp[AT] + smaller(since, PAUSE * (double)d.rows);
     const Moment now = {to, t, s->dt};
-    if (s->recalls) {
+    if (s->reads_commands) {
         copy(d.n, c.now, z->expected);
     }
     if (to < c.stamp[AT] + since) {
@@ -174,7 +174,7 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     for (double at = c.stamp[AT], end; at < to; at = end) {
         end = smaller((double)(step_of(at) + 1), to);
         book(d, at, end, c.before, c.sent, z->held, z->total);
-        if (s->recalls) {
+        if (s->reads_commands) {
             expect(d, at, end, now, q, s, z, work);
             move_base(d, end - s->oldest, now, q, s, z, work);
         }
@@ -396,8 +396,8 @@ static inline void hand_over(Shape d, Moment now, const Parts *q, const Settings
     const Clock c = clock_of(d, z->clock);
     const double handed = !((now.at - c.stamp[SAMPLE_AT]) * s->dt <= s->after);
     int apart = 0;
-    if (handed > 0.0 && q->relief) {
-        q->relief(d, z->P, z->u, z->D_hat, now.t, s->p, z->U, work);
+    if (handed > 0.0 && q->watchdog_law) {
+        q->watchdog_law(d, z->P, z->u, z->D_hat, now.t, s->p, z->U, work);
         clip(d, s->input_bounds, z->U);
     } else if (handed > 0.0) {
         copy(d.m, s->holds ? c.sent : s->rescue, z->U);
@@ -465,7 +465,7 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
 static inline int compute(Shape d, INDEX k, double t, int came, double age, const Parts *q, const Settings *s, State *z,
                           double *work)
 {
-    const int code = s->recalls ? compute_recalled(d, t, came, age, q, s, z, work)
+    const int code = s->reads_commands ? compute_recalled(d, t, came, age, q, s, z, work)
                                 : compute_measured(d, k, t, q, s, z, work);
     if (code != OK) {
         return code;
@@ -476,7 +476,7 @@ static inline int compute(Shape d, INDEX k, double t, int came, double age, cons
     if (!all_finite(d.m, z->U) || !isfinite(z->D_hat[0]) || isinf(z->phi_before[0])) {
         return PREDICTION_NOT_FINITE;
     }
-    for (int c = 0; c < d.m && s->recalls; c++) {
+    for (int c = 0; c < d.m && s->reads_commands; c++) {
         if (z->D_seen[c] > longest(d, s)) {
             return DELAY_TOO_LONG;
         }
@@ -491,10 +491,10 @@ SPARE static inline void remember(Shape d, double t, int code, const Parts *q, c
     const Clock c = clock_of(d, z->clock);
     const double D_hat = z->D_hat[0];
     INDEX shift;
-    if (code != OK && q->believe && s->recalls) {
-        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+    if (code != OK && q->model_delay && s->reads_commands) {
+        q->model_delay(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
         z->D_hat[0] = D_hat;
-    } else if (code != OK && !q->believe) {
+    } else if (code != OK && !q->model_delay) {
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
     copy(code != OK ? d.m : 0, c.sent, z->U);
@@ -526,7 +526,7 @@ SPARE static inline void remember(Shape d, double t, int code, const Parts *q, c
 static inline int call(Shape d, double t, double gap, int came, double age, const Parts *q, const Settings *s, State *z,
                        double *work)
 {
-    const int keeps = s->recalls || q->observe;
+    const int keeps = s->reads_commands || q->observe;
     double D_hat, phi_before, *const observer_before = work, *const rest = work + s->observer_count;
     INDEX k = 0;
     int code;

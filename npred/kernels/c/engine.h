@@ -170,8 +170,8 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
         adapt(d, s->gamma_dt, s->bounds, z->phi, z->phi_before, z->D_hat);
         actuate(d, origin + k, s->dt, z->D, z->U, z->held, z->total, z->U0, z->U1, z->share);
         if (s->moves) {
-            q->pace(d, z->X, z->U0, t, s->truth_p, z->speed, work);
-            watch(d, k, t, (double)(origin + k) * s->dt, q->predict && q->believe, s, z, out);
+            q->delay_speed(d, z->X, z->U0, t, s->truth_p, z->speed, work);
+            watch(d, k, t, (double)(origin + k) * s->dt, q->predict && q->model_delay, s, z, out);
         }
         if (s->moves || s->tabulates) {
             retime(d, origin + k, s->dt, z->D, z->speed, z->held, z->U1, z->share);

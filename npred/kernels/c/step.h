@@ -100,15 +100,15 @@ static inline void protect(Shape d, INDEX k, double part, double t, const Parts 
  * before. An offset of the inputs acts on the plant too, so that the law gets the prediction with it, and U is less. */
 static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double part, double t, double *work)
 {
-    if (q->believe) {
-        q->believe(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
-    } else if (s->recalls) {
+    if (q->model_delay) {
+        q->model_delay(d, z->X_hat, t, s->p, s->ratios, z->D_hat, z->D_seen, work);
+    } else if (s->reads_commands) {
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
-    if (s->keeps) {
+    if (s->stores_commands) {
         transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u);
     }
-    if (s->keeps && q->update) {
+    if (s->stores_commands && q->update) {
         transport_nodes(d, k, part, s->dt, z->D_seen, z->held, z->u_nodes);
     }
     if (s->offsets) {

@@ -19,7 +19,7 @@ from npred.lab.config.loop import LoopTable
 from npred.lab.config.pipeline import Generate, Pipeline
 from npred.lab.config.results import PredictorId
 from npred.lab.config.section import FROZEN
-from npred.loop import closed_loop
+from npred.loop import closed_loop, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop
 from npred.loop.measurement import Measurement, Observer
@@ -89,7 +89,7 @@ class Condition:
 def compiled(plant: Plant, predictor: Predictor, table: LoopTable) -> bool:
     """True if loops of this table that adapt are kernels throughout: no table names an observer in Python."""
     law = delay_law.part(plant, adaptation(table, plant), table.dt)
-    return closed_loop.compiled(plant, predictor, law)
+    return simulation.compiled(plant, predictor, law)
 
 
 def adaptation(loop: LoopTable, plant: Plant) -> DelayLaw | None:

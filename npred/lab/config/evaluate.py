@@ -1,7 +1,7 @@
 """The table [evaluate] with its scenarios and its guard."""
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -87,7 +87,6 @@ class GuardTable(Section):
     """The networks are checked in every call of a loop; if one may be wrong, `predictor` answers (npred.guarded)."""
 
     tolerance: Positive = 0.01  #: largest error of U that passes, in units of U
-    by: Literal["auto", "shadow"] = "auto"  #: the method of the estimate; both are the same
 
 
 class Evaluate(LoopTable):

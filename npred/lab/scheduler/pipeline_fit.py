@@ -20,8 +20,8 @@ from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
 from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
 from npred.lab.config.conditions import Condition
-from npred.loop import clocked, loop_checks
-from npred.loop.closed_loop import LANES
+from npred.loop import clocked
+from npred.loop.simulation import LANES
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant, inputs
 from npred.prediction import methods as predictors
@@ -260,7 +260,7 @@ def parts(fit: PipelineFit) -> None:
         if loop.timing or estimator:
             clocked.serves(fit.plant)
         if loop.safety:
-            loop_checks.protected(fit.plant, loop.safety, loop.dt)
+            loop.safety.check(fit.plant, loop.dt)
         plants.varied(fit.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, fit.plant, loop.nx)
     if "evaluate" in fit.stages and (guard := fit.pipeline.evaluate.guard):

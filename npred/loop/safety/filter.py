@@ -49,10 +49,8 @@ def _barrier(
         psi = rate + alpha * psi
     slopes = [programs.derivative([psi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
     if programs.depends(slopes, [*u]):
-        raise ConfigError(
-            f"{plant.location('safe')} expected limits whose derivative is linear in the input, that of number "
-            f"{k} is not; let another state be the input, by its rate"
-        )
+        what = f"expected limits whose derivative is linear in the input, that of number {k} is not"
+        raise ConfigError(f"{plant.location('safe')} {what}; let another state be the input, by its rate")
     return psi
 
 
@@ -81,6 +79,5 @@ def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
             return degree, decide
         symbols = zip(plant.parameters, trace.parameters, strict=True)
         decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
-    raise ConfigError(
-        f"{plant.location('safe')} expected limits that the input moves, it does not move number {k}; drop that one"
-    )
+    what = f"expected limits that the input moves, it does not move number {k}"
+    raise ConfigError(f"{plant.location('safe')} {what}; drop that one")

@@ -16,7 +16,7 @@ from npred.lab.scheduler.executors import Processes
 from npred.lab.stages.generate import generate, sampling
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import MEANING, Dataset
-from npred.loop.closed_loop import LANES
+from npred.loop.simulation import LANES
 from npred.prediction.methods import RK4
 
 

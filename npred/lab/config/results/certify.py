@@ -17,7 +17,6 @@ class Certificate(Result):
     samples: int | None = None  #: random times of each rollout
     median: Number  #: the median over the rollouts
     tolerance: float  #: of the guard, in units of U
-    by: str  #: the guard's estimate, `shadow`
     fallback_rollouts: float  #: share of the rollouts' samples with a numerical answer
     lost: int  #: loops that the network loses and the numerical predictor keeps
     lost_guarded: int  #: the same for the guarded network

@@ -46,8 +46,8 @@ def run(job: Job) -> Certified:
     with job.threads() as pool:
         bare = {network: pool.submit(_loops, job, guard.model) for network, guard in guards.items()}
         guarded = {network: pool.submit(_loops, job, guard) for network, guard in guards.items()}
-        rows = {
-            network: {"tolerance": guard.tolerance, "by": guard.by}
+        rows: dict[PredictorId, dict[str, Any]] = {
+            network: {"tolerance": guard.tolerance}
             | _rollouts(table, by_rollout[network])
             | _behaviour(job.plant, loops, bare[network].result(), guarded[network].result())
             for network, guard in guards.items()

@@ -27,7 +27,7 @@ from npred.lab.stages.generate import sampling
 from npred.lab.stages.generate.sampling import Columns
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset, attributes
-from npred.loop.closed_loop import LANES
+from npred.loop.simulation import LANES
 from npred.plants import Plant
 
 TOKEN = ".token"

@@ -16,7 +16,8 @@ from npred.kernels import compiler
 from npred.lab.config import Generate, Pipeline, conditions
 from npred.lab.config.conditions import Condition, box
 from npred.lab.scheduler.configuration import identity
-from npred.loop.closed_loop import LANES, Trajectories
+from npred.loop.closed_loop import Trajectories
+from npred.loop.simulation import LANES
 from npred.loop.trajectory_views import infeasible
 from npred.plants import Plant, inputs
 from npred.prediction.methods import numerical

@@ -1,0 +1,182 @@
+"""One simulation: the parts of a control step on lanes, and chunks of loops that run side by side."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from npred.base import devices
+from npred.estimation.delay_law import Part, part
+from npred.loop import engine, loop_checks, signals
+from npred.loop import measurement as sensing
+from npred.loop.actuator import history
+from npred.loop.engine import Engine
+from npred.loop.loop import Loop
+from npred.loop.signals import Record, Settings, State
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.prediction.delays import problem_of
+from npred.prediction.delays.constant import ConstantDelay
+from npred.prediction.methods import RK4, OneStep, Predictor
+
+LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
+NEURAL_LANES = 512  # a network's call has a fixed cost to share
+FIRST, BLOCK = 10, 500  # control steps before the first report of progress, and between two of them
+
+
+def compiled(plant: Plant, predictor: Predictor | None, law: Part) -> bool:
+    """True if the controller's parts are kernels, which let go of the interpreter."""
+    return plant.traced and law.compiled and (predictor is None or predictor.compiled)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Loops of B lanes; `loop` has nothing left to be filled in, its D and D_hat are (B,), its X0 is (B, n)."""
+
+    loop: Loop
+    count: int  # control steps, that at t = 0 included
+    every: int
+    integrator: type[OneStep]
+    shape: tuple[int, ...]  # the axes of the batch
+    blind: bool  # whether the controller of a plant that declares its delay is as if there was none
+    past: inputs.Past  # the inputs of t < 0
+    samples: np.ndarray  # (B, S), the steps that are kept too
+    delays: np.ndarray  # (count + 1, B), or (0, B) where D is no function of time
+
+    @cached_property
+    def law(self) -> Part:
+        """The kernels of U and of D_hat's rate; the open loop has U = 0."""
+        if self.loop.predictor is None:
+            return part(self.loop.plant, None, self.loop.dt)._replace(control=None)
+        law = part(self.loop.plant, self.loop.adaptation, self.loop.dt)
+        return law._replace(control=ConstantDelay(self.loop.plant).control(RK4.step)) if self.blind else law
+
+    @cached_property
+    def pushes(self) -> np.ndarray:
+        """The disturbance in the middle of each control step, (steps, m, 1 or B), or (0, m, 0) without one."""
+        m = self.loop.plant.m
+        if self.loop.disturbance is None:
+            return np.zeros((0, m, 0))
+        times = (np.arange(self.count) + 0.5) * self.loop.dt
+        values = [loop_checks.push(self.loop.disturbance(t), m, self.shape) for t in times.tolist()]
+        return np.moveaxis(np.stack(np.broadcast_arrays(*values)), 1, 2)
+
+    @property
+    def compiled(self) -> bool:
+        """True if all parts are kernels; else the loop calls those in Python, and needs the interpreter."""
+        controller = compiled(self.loop.plant, self.loop.predictor, self.law)
+        return controller and self.loop.real.traced and self.loop.measurement.observer is None
+
+    def run(self, progress: Any) -> Record:
+        """All loops, chunk by chunk."""
+        lanes, width = len(self.loop.D), LANES if self.compiled else NEURAL_LANES
+        records = [self._chunk(slice(i, min(i + width, lanes)), progress) for i in range(0, lanes, width)]
+        return signals.joined(records)
+
+    def _chunk(self, c: slice, progress: Any) -> Record:
+        lanes = c.stop - c.start
+        origin, held, total = history(*self.reach(c), self.loop.dt, self.past.of(c))
+        settings, out = self._settings(c), self.record(lanes, self.samples.shape[1])
+        steps = Engine(self.parts, settings, self._state(c, held, total), out)
+        if progress:
+            progress(0)
+        for start, stop in pairwise([0, *range(min(FIRST, self.count), self.count, BLOCK), self.count]):
+            with devices.one_thread():
+                steps.run(origin, start, stop)
+            if progress:
+                progress((stop - start) * lanes)
+        return out
+
+    @property
+    def rows(self) -> int:
+        """The number of kept control steps."""
+        return (self.count - 1) // self.every + 1
+
+    @property
+    def nx(self) -> int:
+        """The nodes of u and P; two in the open loop."""
+        return 2 if self.loop.predictor is None else self.loop.predictor.nx
+
+    def record(self, lanes: int, samples: int) -> Record:
+        """An empty record."""
+        n, m = self.loop.plant.n, self.loop.plant.m
+        sizes = {"n": n, "m": m, "nx": self.nx, "row": self.rows, "sample": samples + 1, "breach": n + m + 1}
+        return Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
+
+    def reach(self, c: slice) -> tuple[float, float]:
+        """How far back the commands of some loops may be read, in seconds: before t = 0, and at any time."""
+        loop, spans = self.loop, [self.loop.D[c].max(), self.delays[:, c].max(initial=0.0)]
+        if loop.reads_commands or self.law.memory > 1 or loop.plant.declares_delay:
+            spans += [loop.D_hat[c].max(), self.law.bounds[1] if loop.adaptation else 0.0]
+        before = float(max(spans)) + loop.measurement.delay
+        longest = (self.count - 1) * loop.dt
+        return before, before + (longest if loop.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
+
+    @cached_property
+    def parts(self) -> dict[str, Any]:
+        """The sentences of a control step, on lanes, traced once for all chunks."""
+        loop, truth, law = self.loop, problem_of(self.loop.real), self.law
+        model = ConstantDelay(loop.plant) if self.blind else problem_of(loop.plant)
+        observer = loop.measurement.observer
+        return {
+            "horizon": truth.horizon(),
+            "observer": observer and sensing.observed(observer),
+            "observe": law.observe,
+            "model_delay": model.horizon(),  # None too where D_hat = 0
+            "predict": loop.predictor and (model.sweep(RK4.step) if self.blind else loop.predictor.lanes()),
+            "guard": None if self.blind else getattr(loop.predictor, "guard", None),
+            "control": law.control,
+            "update": law.update,
+            "delay_speed": truth.speed(),
+            "advance": engine.advance_kernel(loop.real, self.integrator),
+            **engine.protection(loop.safety, loop.predictor),
+            "model": None if loop.measurement.perfect else engine.advance_kernel(loop.plant, self.integrator),
+        }
+
+    def _settings(self, c: slice) -> Settings:
+        loop, plant, guard = self.loop, self.loop.plant, getattr(self.loop.predictor, "settings", None)
+        samples, delays = self.samples[c], self.delays[:, c]
+        pushes = self.pushes if self.pushes.shape[2] < 2 else self.pushes[..., c]
+        return signals.settings(
+            dt=loop.dt,
+            b=self.law.b,
+            gamma_dt=self.law.gamma * loop.dt,
+            every=self.every,
+            row_count=self.rows,
+            sample_count=samples.shape[1],
+            late=round(loop.measurement.delay / loop.dt) if loop.measurement.observer is None else 0,
+            reads_commands=loop.reads_commands,
+            stores_commands=True,
+            moves=loop.real.declares_delay,
+            senses=not loop.measurement.perfect,
+            tabulates=len(delays) > 0,
+            disturbed=pushes.shape[2],
+            bounds=self.law.bounds,
+            input_bounds=np.ascontiguousarray(loop.input_bounds, dtype=float),
+            u_star=np.ascontiguousarray(plant.u_equilibrium if plant.rests else np.zeros(plant.m), dtype=float),
+            p=plant.p,
+            truth_p=loop.real.p,
+            ratios=plant.ratios,
+            law=self.law.settings,
+            guard=np.zeros(0) if guard is None else guard,
+            delays=np.array(delays[:, None, :] * plant.ratios[:, None], order="C"),
+            disturbance=np.ascontiguousarray(pushes),
+            samples=np.array(samples.T, order="C", dtype=np.int64),
+            **(loop.safety.settings(loop.dt, loop.input_bounds) if loop.safety else {}),
+            **sensing.settings(loop.measurement, loop.dt, c.start, plant.n),
+        )
+
+    def _state(self, c: slice, held: np.ndarray, total: np.ndarray) -> State:
+        loop, plant = self.loop, self.loop.plant
+        X, D = np.array(loop.X0[c].T, order="C"), plant.ratios[:, None] * loop.D[c]
+        reads_commands = loop.reads_commands or (plant.declares_delay and not self.blind)
+        arrays = {"X": X, "D": D, "D_hat": np.array(loop.D_hat[c]), "held": held, "total": total}
+        arrays |= {"D_seen": D.copy() if reads_commands else D}
+        arrays |= {"X_hat": X, "Y": X} if loop.measurement.perfect else {"X_hat": X.copy()}
+        sizes = {"n": plant.n, "m": plant.m, "nx": self.nx, "observer": self.law.memory}
+        sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "protected"), 0)
+        sizes |= {"past": round(loop.measurement.delay / loop.dt) + 1}
+        sizes |= loop.safety.sizes(self.nx) if loop.safety else {}
+        return State(**signals.memory(signals.STATE, sizes, D.shape[1], arrays))
