@@ -22,7 +22,7 @@ def test_from_the_truth_it_stays_there(kind):
             correct(observer, memory, plant.output(X, t), t)
         follow(observer, memory, 1.0, h, t, after=-0.5, share=0.4)
         for begin, end, U in ((t, t + 0.4 * h, 1.0), (t + 0.4 * h, t + h, -0.5)):
-            f = lambda s, x, U=U: plant.f(x, np.array([U]), s)  # noqa: E731
+            f = lambda s, x, U=U: plant.f(x, np.array([U]), s)
             X = solve_ivp(f, (begin, end), X, rtol=1e-10, atol=1e-12).y[:, -1]
         worst = max(worst, np.abs(memory[:2] - X).max())
     assert worst < 1e-5

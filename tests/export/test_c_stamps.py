@@ -30,21 +30,11 @@ class Motor:
 
     states, inputs, outputs = ("angle", "speed"), ("i",), ("cosine", "sine")
     box, input_bounds = {"angle": (-3.0, 3.0), "speed": (-5.0, 5.0)}, ((-20.0, 20.0),)
-
-    def f(x, u, t, p, M):
-        return [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i]
-
-    def output(x, t, p, M):
-        return [M.cos(x.angle), M.sin(x.angle)]
-
-    def kappa(x, t, p, M):
-        return [-M.sin(x.angle) - 2 * x.angle - 2 * x.speed]
-
-    def V(x, t, p, M):
-        return x.angle**2 + x.speed**2
-
-    def safe(x, t, p, M):
-        return [0.15 - x.speed, 0.15 + x.speed]
+    f = lambda x, u, t, p, M: [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i]
+    output = lambda x, t, p, M: [M.cos(x.angle), M.sin(x.angle)]
+    kappa = lambda x, t, p, M: [-M.sin(x.angle) - 2 * x.angle - 2 * x.speed]
+    V = lambda x, t, p, M: x.angle**2 + x.speed**2
+    safe = lambda x, t, p, M: [0.15 - x.speed, 0.15 + x.speed]
 
 
 MOTOR = Plant("motor", Motor)
@@ -206,7 +196,7 @@ def play(pair, events):
     world, wide = World(plant), np.ptp([plant.box.get(name, (0.0, 1.0)) for name in plant.states], axis=1)
     observer, shift, latest = pair.python.observer, 0.0, 0.0
     wide = wide * (0.6 if pair.python.outlier_limit else 0.1)
-    sample = lambda X: X if observer is None else observer.measured(X)  # noqa: E731
+    sample = lambda X: X if observer is None else observer.measured(X)
     for k, (gap, what, old) in enumerate(events):
         if k:
             world.to(world.t + gap * DT)

@@ -12,7 +12,7 @@ from npred.identification.alternatives import FittedModel, prediction_error
 
 def test_a_lag_behind_the_delay_is_found_and_the_interval_has_the_shorter_delay():
     """The valve of 0.2 s behind a delay of 0.4 s looks like a delay of 0.6 s to a model that has none."""
-    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])  # noqa: E731
+    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])
     table = recording(f, [0.0, 0.0], steps(400, 1, 15, 1), [0.4], PERIOD, 0.01, 1, outputs=1)
     found = npred.identify(decay(), *table, longest=1.5)
     assert "behind it fits clearly better" in str(found)

@@ -21,15 +21,9 @@ class Tank:
     states, inputs = ("h",), ("q",)
     parameters = {"area": 1.0, "outflow": 0.5, "level": 1.0, "gain": 1.0}
     box, guess = {"h": (0.5, 2.0)}, (1.0,)
-
-    def f(x, u, t, p, M):
-        return [(u.q - p.outflow * M.sqrt(x.h)) / p.area]
-
-    def kappa(x, t, p, M):
-        return [p.outflow * M.sqrt(x.h) - p.gain * (x.h - p.level)]
-
-    def V(x, t, p, M):
-        return (x.h - p.level) ** 2
+    f = lambda x, u, t, p, M: [(u.q - p.outflow * M.sqrt(x.h)) / p.area]
+    kappa = lambda x, t, p, M: [p.outflow * M.sqrt(x.h) - p.gain * (x.h - p.level)]
+    V = lambda x, t, p, M: (x.h - p.level) ** 2
 
 
 def made(name: str, **parameters: float) -> npred.plants.Plant:
@@ -45,7 +39,7 @@ def test_the_identified_controller_stabilises_the_true_plant(name: str):
     truth = {key: model.parameters[key] * (1 + 0.03 * rng.uniform(-1, 1)) for key in in_f}
     real = made(name, **truth)
     shrunk = model.u_equilibrium
-    law = lambda x: shrunk + 0.5 * (model.kappa(x) - shrunk)  # noqa: E731  # half the gain bears the delay
+    law = lambda x: shrunk + 0.5 * (model.kappa(x) - shrunk)  # half the gain bears the delay
     table = looped(real.f, law, model.equilibrium, steps(500, model.m, 8, 1, size), D, period, 0.01, 1)
     found = npred.identify(model, *table, longest=2.0, free=in_f[:1])
     assert found.identifiable.all() and abs(found.D[0] - D) < period

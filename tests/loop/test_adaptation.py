@@ -163,15 +163,9 @@ class Follower:
     """x' = -x/2 + U + sin(t)/4, led along sin t: f and kappa both depend on time."""
 
     states, inputs, guess = ("x",), ("U",), (0.0,)
-
-    def f(x, u, t, p, M):
-        return [-x.x / 2 + u.U + M.sin(t) / 4]
-
-    def kappa(x, t, p, M):
-        return [x.x / 2 + M.cos(t) - M.sin(t) / 4 - (1 + M.cos(t) ** 2) * (x.x - M.sin(t))]
-
-    def V(x, t, p, M):
-        return (x.x - M.sin(t)) ** 2
+    f = lambda x, u, t, p, M: [-x.x / 2 + u.U + M.sin(t) / 4]
+    kappa = lambda x, t, p, M: [x.x / 2 + M.cos(t) - M.sin(t) / 4 - (1 + M.cos(t) ** 2) * (x.x - M.sin(t))]
+    V = lambda x, t, p, M: (x.x - M.sin(t)) ** 2
 
     def reference(t, p, M):
         return [M.sin(t)]
@@ -181,15 +175,9 @@ class ClockInside:
     """The same plant with sin t and cos t as states of its own."""
 
     states, inputs, guess = ("x", "s", "c"), ("U",), (0.0, 0.0, 0.0)
-
-    def f(x, u, t, p, M):
-        return [-x.x / 2 + u.U + x.s / 4, x.c, -x.s]
-
-    def kappa(x, t, p, M):
-        return [x.x / 2 + x.c - x.s / 4 - (1 + x.c**2) * (x.x - x.s)]
-
-    def V(x, t, p, M):
-        return (x.x - x.s) ** 2
+    f = lambda x, u, t, p, M: [-x.x / 2 + u.U + x.s / 4, x.c, -x.s]
+    kappa = lambda x, t, p, M: [x.x / 2 + x.c - x.s / 4 - (1 + x.c**2) * (x.x - x.s)]
+    V = lambda x, t, p, M: (x.x - x.s) ** 2
 
 
 class FollowerOnArrays:

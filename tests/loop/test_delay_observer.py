@@ -215,12 +215,8 @@ class Square:
     """X' = X² + U leaves the finite numbers from X(0) = 5 before the first command acts."""
 
     states, inputs, guess, box = ("X",), ("U",), (0.0,), {"X": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        return [x.X**2 + u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.X - x.X**2]
+    f = lambda x, u, t, p, M: [x.X**2 + u.U]
+    kappa = lambda x, t, p, M: [-x.X - x.X**2]
 
 
 def test_a_loop_that_is_lost_stops_no_other_estimate():
@@ -275,12 +271,8 @@ class Waved:
     """X' = U - X + 3 cos 9t."""
 
     states, inputs = ("X",), ("U",)
-
-    def f(x, u, t, p, M):
-        return [u.U - x.X + 3 * M.cos(9 * t)]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t) - x.X]
+    f = lambda x, u, t, p, M: [u.U - x.X + 3 * M.cos(9 * t)]
+    kappa = lambda x, t, p, M: [M.sin(3 * t) - x.X]
 
 
 def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():

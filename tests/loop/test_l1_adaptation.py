@@ -17,7 +17,7 @@ def formula(plant, u, P, D_hat, t, epsilon):
     w = u - plant.kappa(P, times)
     q = (plant.kappa(P + h * velocity, times) - plant.kappa(P - h * velocity, times)) / (2 * h)
     w_x, q_x = np.gradient(w, x, axis=0), np.gradient(q, x, axis=0)
-    sign = lambda values: values / (np.abs(values) + epsilon)  # noqa: E731
+    sign = lambda values: values / (np.abs(values) + epsilon)
     integrand = (1 + x[:, None]) * (q * sign(w) + q_x * sign(w_x))
     return (2 * sign(w_x[-1]) * q[-1]).sum() + np.trapezoid(integrand, x, axis=0).sum()
 

@@ -30,12 +30,8 @@ class Driven:
     """Two lags, each driven by the time and by an input of its own."""
 
     states, inputs = ("a", "b"), ("u", "v")
-
-    def f(x, u, t, p, M):
-        return [u.u - x.a + M.cos(5 * t), u.v - x.b + M.sin(3 * t)]
-
-    def kappa(x, t, p, M):
-        return [M.sin(2 * t) - x.a, -2 * x.b]
+    f = lambda x, u, t, p, M: [u.u - x.a + M.cos(5 * t), u.v - x.b + M.sin(3 * t)]
+    kappa = lambda x, t, p, M: [M.sin(2 * t) - x.a, -2 * x.b]
 
 
 @pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])

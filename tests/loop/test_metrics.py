@@ -155,15 +155,9 @@ class Settles:
     """x' = u - x, whose commands come 0.5 + 0.1 sin(x) s late."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [u.u - x.x]
-
-    def kappa(x, t, p, M):
-        return [0.5 * x.x + 0.25]
-
-    def delay(x, t, p, M):
-        return 0.5 + 0.1 * M.sin(x.x)
+    f = lambda x, u, t, p, M: [u.u - x.x]
+    kappa = lambda x, t, p, M: [0.5 * x.x + 0.25]
+    delay = lambda x, t, p, M: 0.5 + 0.1 * M.sin(x.x)
 
 
 def test_the_error_in_the_loop_of_a_declared_constant_is_that_of_the_constant():

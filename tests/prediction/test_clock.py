@@ -58,15 +58,9 @@ class Pushed:
     """A mass that is pushed by its input and a wave."""
 
     states, inputs = ("v", "q"), ("U",)
-
-    def f(x, u, t, p, M):
-        return [u.U + M.sin(2 * t), x.v]
-
-    def mechanics(x, u, t, p, M):
-        return [[1.0]], [u.U + M.sin(2 * t)], [0.0]
-
-    def kappa(x, t, p, M):
-        return [-x.v - x.q]
+    f = lambda x, u, t, p, M: [u.U + M.sin(2 * t), x.v]
+    mechanics = lambda x, u, t, p, M: ([[1.0]], [u.U + M.sin(2 * t)], [0.0])
+    kappa = lambda x, t, p, M: [-x.v - x.q]
 
 
 PUSHED = Plant("pushed", Pushed)

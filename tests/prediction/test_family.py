@@ -60,12 +60,8 @@ class Swelling:
     """x' = x cos 3t + u: the equation of a prediction's error is linear, and holds for errors of any size."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [x.x * M.cos(3 * t) + u.u]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
+    f = lambda x, u, t, p, M: [x.x * M.cos(3 * t) + u.u]
+    kappa = lambda x, t, p, M: [-x.x]
 
 
 def test_a_prediction_is_corrected_to_second_order_from_the_state_on():

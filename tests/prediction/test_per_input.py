@@ -36,8 +36,7 @@ def plant(delays=None, inputs=2):
         def kappa(x, t, p, M):
             return [-2 * x.a - x.b + 0.3 * M.sin(2 * t), -x.b - x.c - x.a * x.b, -x.c * x.c + M.cos(t)][:inputs]
 
-        def V(x, t, p, M):
-            return x.a**2 + x.b**2 + x.c**2
+        V = lambda x, t, p, M: x.a**2 + x.b**2 + x.c**2
 
     Chain.inputs = ("u1", "u2", "u3")[:inputs]
     if delays:
@@ -49,15 +48,9 @@ class Integrators:
     """Each state is the integral of what arrives of an input that does not hang on it."""
 
     states, inputs, delays = ("a", "b"), ("u", "v"), (0.37, 1.0)
-
-    def f(x, u, t, p, M):
-        return [u.u, u.v]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t), M.cos(2 * t)]
-
-    def V(x, t, p, M):
-        return 0.0 * x.a
+    f = lambda x, u, t, p, M: [u.u, u.v]
+    kappa = lambda x, t, p, M: [M.sin(3 * t), M.cos(2 * t)]
+    V = lambda x, t, p, M: 0.0 * x.a
 
 
 INTEGRATORS = Plant("integrators", Integrators)

@@ -20,15 +20,9 @@ class Slide:
 
     states, inputs, state_bounds = ("x", "y"), ("u", "v"), {"x": (-np.inf, HIGH)}
     box = {"x": (-0.2, 0.2), "y": (-0.2, 0.2)}
-
-    def f(x, u, t, p, M):
-        return [u.u, u.v - x.y]
-
-    def kappa(x, t, p, M):
-        return [-x.x, -x.y]
-
-    def V(x, t, p, M):
-        return x.x**2 + x.y**2
+    f = lambda x, u, t, p, M: [u.u, u.v - x.y]
+    kappa = lambda x, t, p, M: [-x.x, -x.y]
+    V = lambda x, t, p, M: x.x**2 + x.y**2
 
 
 class SlideTwoDelays(Slide):
@@ -36,8 +30,7 @@ class SlideTwoDelays(Slide):
 
 
 class SlideDeclared(Slide):
-    def delay(x, t, p, M):
-        return D + 0.0 * x.x
+    delay = lambda x, t, p, M: D + 0.0 * x.x
 
 
 class SlideCalled(Slide):

@@ -39,12 +39,7 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
     errors = ErrorSizes(0.01, 0.005)
     reference = SimpleNamespace(P=[[-4.0, 2.0]], plant=PLANT, of_method=lambda run, nx: errors)
     (found,) = break_even.measure(job(tmp_path, "bench", bench={"dx": [0.1]}), timed, reference)
-    assert (found.predictor, found.runtime, found.best, found.best_steps) == (
-        "deeponet",
-        "fused",
-        "rk4",
-        10,
-    )
+    assert (found.predictor, found.runtime, found.best, found.best_steps) == ("deeponet", "fused", "rk4", 10)
     assert [row.predictor for row in found.numerical] == ["rk4", "euler"]
     assert found.eps_relative == pytest.approx(0.005) and found.network_speedup == pytest.approx(5 / 9)
     assert found.f_ns == pytest.approx(100) and found.best_us == pytest.approx(5.0)
@@ -54,14 +49,8 @@ def test_break_even_is_where_both_take_as_long(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("speedup", "words"),
     [
-        (
-            0.5,
-            "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused): the network takes 10.0 µs, RK4 on",
-        ),
-        (
-            4.0,
-            "is the FNO (fused), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4",
-        ),
+        (0.5, "is RK4 on 10 steps, 2.0 times as fast as the FNO (fused): the network takes 10.0 µs, RK4 on"),
+        (4.0, "is the FNO (fused), 4.0 times as fast as RK4 on 10 steps: the network takes 10.0 µs, RK4"),
     ],
 )
 def test_sentence(speedup, words):

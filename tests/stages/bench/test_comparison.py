@@ -18,12 +18,8 @@ class Growth:
 
     states, inputs, guess = ("X",), ("U",), (0.0,)
     parameters = {"a": 1.0}
-
-    def f(x, u, t, p, M):
-        return [p.a * x.X + u.U]
-
-    def kappa(x, t, p, M):
-        return [-2 * x.X]
+    f = lambda x, u, t, p, M: [p.a * x.X + u.U]
+    kappa = lambda x, t, p, M: [-2 * x.X]
 
 
 @pytest.fixture(scope="module")
