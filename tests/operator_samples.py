@@ -69,9 +69,7 @@ def holding() -> tuple[plants.Plant, Arrays]:
         f = lambda x, u, t, p, M: [u.U - x.X]
         kappa = lambda x, t, p, M: [0.5 - (2 + M.sin(t)) * (x.X - 0.5)]
         V = lambda x, t, p, M: (x.X - 0.5) ** 2
-
-        def reference(t, p, M):
-            return [0.5]
+        reference = lambda t, p, M: [0.5]
 
     random = np.random.default_rng(0)
     X, u, D_hat = random.normal(size=(4, 1)), random.normal(size=(4, 11, 1)), random.uniform(0.3, 2, 4)

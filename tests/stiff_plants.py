@@ -18,9 +18,7 @@ class Lag:
     period = 2 * np.pi
     f = lambda x, u, t, p, M: [-p.rate * (x.fast - M.cos(t) - u.u) + 0.1 * x.slow, x.fast - 2 * x.slow]
     kappa = lambda x, t, p, M: [-0.1 * x.slow + 0.1 * M.sin(t)]
-
-    def reference(t, p, M):
-        return [M.cos(t), M.cos(t)]
+    reference = lambda t, p, M: [M.cos(t), M.cos(t)]
 
 
 class Sprung:

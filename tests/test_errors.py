@@ -195,9 +195,7 @@ def test_dx_counts_both_ends(dx: float, nx: int):
 
 @pytest.mark.parametrize(("old", "nx"), [(5, 9), (21, 101), (101, 21), (7, 7)])
 def test_refine_is_exact_on_cubics_and_keeps_nodes(old, nx):
-    def cubic(x):
-        return np.stack([1 - 2 * x + 3 * x**2 - 4 * x**3, x], axis=-1)
-
+    cubic = lambda x: np.stack([1 - 2 * x + 3 * x**2 - 4 * x**3, x], axis=-1)
     np.testing.assert_allclose(grid.refine(cubic(grid.nodes(old)), nx), cubic(grid.nodes(nx)), atol=1e-13)
 
 

@@ -166,9 +166,7 @@ def test_settings_that_make_no_sense_are_told(settings):
 
 
 def test_the_command_says_it_to_people_and_programs(tank_file):
-    def call(*arguments):
-        return CliRunner().invoke(app, ["plants", "check", *arguments])
-
+    call = lambda *arguments: CliRunner().invoke(app, ["plants", "check", *arguments])
     good = call(tank_file(), "--json")
     assert good.exit_code == 0
     document = json.loads(good.stdout)

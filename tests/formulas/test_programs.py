@@ -74,8 +74,7 @@ def test_derivative_equals_central_difference(x, y, vx, vy):
 def test_derivative_of_a_solution_reads_what_the_solution_reads(above):
     """Equal to the derivative by Cramer's rule, whatever stands above the diagonal."""
 
-    def solved(x, y, M):
-        return M.solve([[2 + x * x, above(x, y)], [M.cos(y - x), 3.0]], [x, M.sin(y)])
+    solved = lambda x, y, M: M.solve([[2 + x * x, above(x, y)], [M.cos(y - x), 3.0]], [x, M.sin(y)])
 
     def cramer(x, y, M):
         a, b, c = 2 + x * x, M.cos(y - x), M.sin(y)

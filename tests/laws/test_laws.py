@@ -152,9 +152,7 @@ def test_a_reference_whose_slopes_the_inputs_do_not_reach_gets_one_gain():
         box = {"x1": (-1.0, 1.0), "x2": (-1.0, 1.0)}
         period = 2 * np.pi
         f = lambda x, u, t, p, M: [M.sin(x.x1) + x.x2, u.u]
-
-        def reference(t, p, M):
-            return [M.sin(t), M.cos(t) - M.sin(M.sin(t))]
+        reference = lambda t, p, M: [M.sin(t), M.cos(t) - M.sin(M.sin(t))]
 
     plant = npred.plant(Swinging, kappa="lqr")
     gains = [plant.kappa_jacobian(plant.target(t), t) for t in (0.0, 1.0)]
@@ -181,10 +179,7 @@ def nearest_by_scan(a: float, guess: np.ndarray) -> float:
 def leads_to(plant: Plant, a: float, X0: np.ndarray) -> np.ndarray:
     """Where SciPy's loop of the law without delay ends, with f written here."""
     law, p = plant.law.function, SimpleNamespace(a=a)
-
-    def f(t, X):
-        return [X[1] - np.sin(a * X[0]), -X[1] + law(SimpleNamespace(x=X[0], y=X[1]), t, p, SCALARS)[0]]
-
+    f = lambda t, X: [X[1] - np.sin(a * X[0]), -X[1] + law(SimpleNamespace(x=X[0], y=X[1]), t, p, SCALARS)[0]]
     return solve_ivp(f, (0, 60), X0, "LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
 
 

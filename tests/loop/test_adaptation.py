@@ -43,10 +43,7 @@ def test_golden_q1_by_the_transition_formula(name):
     golden, nx = case(name), 4001
     u, h = golden.u(grid.nodes(nx))[:, None], golden.D_hat / (nx - 1)
     P = RK4(PLANT)(golden.X, u, golden.D_hat)
-
-    def df(x, inputs, t, v):
-        return PLANT.jacobians(x, inputs)[0] @ v
-
+    df = lambda x, inputs, t, v: PLANT.jacobians(x, inputs)[0] @ v
     r = PLANT.f(P[0], u[0])
     s, q1 = h * df(P[0], u[0], 0.0, r), []
     for j in range(1, nx):
@@ -84,10 +81,7 @@ def test_constant_input_moves_along_f():
     nx, h = 2001, 1.2 / 2000
     u = np.full((nx, 1), 0.03)
     P = predictors.numerical("rk4", PLANT, nx)([0.08, 6.0], u, 1.2)
-
-    def df(x, inputs, t, v):
-        return PLANT.jacobians(x, inputs)[0] @ v
-
+    df = lambda x, inputs, t, v: PLANT.jacobians(x, inputs)[0] @ v
     r = PLANT.f(P[0], u[0])
     s = h * df(P[0], u[0], 0.0, r)
     for j in range(1, nx):
@@ -166,9 +160,7 @@ class Follower:
     f = lambda x, u, t, p, M: [-x.x / 2 + u.U + M.sin(t) / 4]
     kappa = lambda x, t, p, M: [x.x / 2 + M.cos(t) - M.sin(t) / 4 - (1 + M.cos(t) ** 2) * (x.x - M.sin(t))]
     V = lambda x, t, p, M: (x.x - M.sin(t)) ** 2
-
-    def reference(t, p, M):
-        return [M.sin(t)]
+    reference = lambda t, p, M: [M.sin(t)]
 
 
 class ClockInside:
@@ -184,19 +176,14 @@ class FollowerOnArrays:
     """The follower as a plant that is not traced."""
 
     states, inputs, traced = ("x",), ("U",), False
-
-    def f(X, u, t, p):
-        return -X / 2 + u + (np.sin(t) / 4 * np.ones(len(X)))[:, None]
+    f = lambda X, u, t, p: -X / 2 + u + (np.sin(t) / 4 * np.ones(len(X)))[:, None]
 
     def kappa(X, t, p):
         s, c = (wave(t) * np.ones(len(X)) for wave in (np.sin, np.cos))
         return (X[:, 0] / 2 + c - s / 4 - (1 + c**2) * (X[:, 0] - s))[:, None]
 
-    def V(X, t, p):
-        return (X[:, 0] - np.sin(t)) ** 2
-
-    def reference(t, p):
-        return np.sin(t)[:, None]
+    V = lambda X, t, p: (X[:, 0] - np.sin(t)) ** 2
+    reference = lambda t, p: np.sin(t)[:, None]
 
 
 def follower(kind):

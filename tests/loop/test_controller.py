@@ -188,15 +188,9 @@ class Hot:
     """x' = exp(x), which leaves the floats, in NumPy, which warns of it."""
 
     traced, states, inputs = False, ("x",), ("u",)
-
-    def f(X, u, t, p):
-        return np.exp(X) + u
-
-    def kappa(X, t, p):
-        return -np.exp(X) - X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: np.exp(X) + u
+    kappa = lambda X, t, p: -np.exp(X) - X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 @pytest.mark.filterwarnings("error")

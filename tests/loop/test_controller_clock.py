@@ -493,12 +493,8 @@ class CalledWinch:
 
     traced = False
     states, inputs, parameters, input_bounds = Winch.states, Winch.inputs, Winch.parameters, Winch.input_bounds
-
-    def f(X, u, t, p):
-        return np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
-
-    def kappa(X, t, p):
-        return np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
+    f = lambda X, u, t, p: np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
+    kappa = lambda X, t, p: np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
 
 
 def winch(then, jump=None, kind=Winch):

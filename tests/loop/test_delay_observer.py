@@ -133,16 +133,13 @@ class CalledFollower:
 
     traced = False
     states, inputs, parameters, box = Follower.states, Follower.inputs, Follower.parameters, Follower.box
-
-    def f(X, u, t, p):
-        return p.a * X + u
+    f = lambda X, u, t, p: p.a * X + u
 
     def kappa(X, t, p):
         r, slope = p.A * np.sin(p.w * t), p.A * p.w * np.cos(p.w * t)
         return (slope - p.a * X[:, 0] - p.c * (X[:, 0] - r))[:, None]
 
-    def V(X, t, p):
-        return (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+    V = lambda X, t, p: (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
 
 
 SPARSE = Measurement(noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2)  # each loop has samples of its own

@@ -269,15 +269,9 @@ class Called(Lag):
     """The same behind functions of arrays."""
 
     traced = False
-
-    def f(X, u, t, p):
-        return u - p.a * X
-
-    def kappa(X, t, p):
-        return -X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: u - p.a * X
+    kappa = lambda X, t, p: -X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 def pickled(plant):

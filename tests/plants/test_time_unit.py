@@ -33,9 +33,7 @@ class LateVat(Vat):
 class ClockedVat(Vat):
     period = 24.0
     kappa = lambda x, t, p, M: [2.0 - x.h + 0.1 * M.sin(t)]
-
-    def reference(t, p, M):
-        return [1.0]
+    reference = lambda t, p, M: [1.0]
 
 
 HOURS = {"vat": Vat, "late": LateVat, "clocked": ClockedVat}

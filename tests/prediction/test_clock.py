@@ -161,9 +161,7 @@ def test_a_delay_of_time_alone_tells_a_network_the_time(config):
 
 
 def test_a_delay_that_comes_back_to_a_value_does_not_tell_the_time():
-    def late(x, t, p, M):
-        return 1 + 0.5 * M.sin(t)
-
+    late = lambda x, t, p, M: 1 + 0.5 * M.sin(t)
     clock(PipelineFit(IN_TIME, PIPELINE, ()))
     plant = Plant("late", type("Late", (IN_TIME.declaration,), {"delay": late}))
     with pytest.raises(ConfigError, match=r"expected a delay that only rises or only falls for 100 s.*declare period"):

@@ -24,15 +24,9 @@ class OnArrays:
     """x' = -x + u, called on arrays."""
 
     states, inputs, traced = ("x",), ("u",), False
-
-    def f(X, u, t, p):
-        return u - X
-
-    def kappa(X, t, p):
-        return 0 * X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: u - X
+    kappa = lambda X, t, p: 0 * X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 EACH = {

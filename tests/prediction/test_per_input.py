@@ -95,10 +95,7 @@ def test_an_input_past_its_history_is_the_law_and_not_zero():
     """Held at 0 there, P would be off by a tenth and more."""
     declared, X = plant((0.25, 0.6)), [0.5, -0.3, 0.8]
     wanted = exact(declared, X, u, 0.0, [1.0])[0]
-
-    def silent(x, P):
-        return D_HAT * declared.f(P, np.array([u(2.4 * x)[0] * (2.4 * x <= 1), u(x)[1]]))
-
+    silent = lambda x, P: D_HAT * declared.f(P, np.array([u(2.4 * x)[0] * (2.4 * x <= 1), u(x)[1]]))
     held = solve_ivp(silent, (0, 1), X, rtol=1e-6)
     found = RK4(declared, 101)(X, u(grid.nodes(101)), D_HAT)[-1]
     np.testing.assert_allclose(found, wanted, atol=1e-4)

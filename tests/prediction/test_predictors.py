@@ -292,10 +292,7 @@ def test_the_order_holds_where_u_jumps_inside_a_cell(name):
     """Of a mass on a damper that is not stiff; by reading u at nodes it would be 1."""
     plant, X, nx, counts = Plant("sprung", Sprung, {"drag": 3.0}), [0.2, 0.5], 2001, np.array([10, 20, 40, 80])
     u, P = [], []
-
-    def f(t, P, held):
-        return plant.f(P, np.array([held]))
-
+    f = lambda t, P, held: plant.f(P, np.array([held]))
     for node in range(800, 1000, 17):
         u.append(np.where(np.arange(nx) < node, -1.0, 2.0)[:, None])
         place, end = (node - 0.5) / (nx - 1), np.array(X)  # where the nodes' cells change
@@ -371,15 +368,9 @@ def test_euler_in_python_works_on_floats_of_python():
 def test_they_call_a_plant_that_is_not_traced(baseline):
     class Box:
         traced, states, inputs, box = False, ("x",), ("U",), {"x": (0, 1)}
-
-        def f(X, u, t, p):
-            return u - X**2
-
-        def kappa(X, t, p):
-            return -X
-
-        def V(X, t, p):
-            return X[:, 0] ** 2
+        f = lambda X, u, t, p: u - X**2
+        kappa = lambda X, t, p: -X
+        V = lambda X, t, p: X[:, 0] ** 2
 
     plant, (X, u) = BlackBox("box", Box), (np.array([0.4]), np.full((5, 1), 0.3))
     np.testing.assert_allclose(

@@ -35,15 +35,9 @@ class SlideDeclared(Slide):
 
 class SlideCalled(Slide):
     traced = False
-
-    def f(X, u, t, p):
-        return np.stack([u[:, 0], u[:, 1] - X[:, 1]], axis=-1)
-
-    def kappa(X, t, p):
-        return -X
-
-    def V(X, t, p):
-        return (X**2).sum(axis=-1)
+    f = lambda X, u, t, p: np.stack([u[:, 0], u[:, 1] - X[:, 1]], axis=-1)
+    kappa = lambda X, t, p: -X
+    V = lambda X, t, p: (X**2).sum(axis=-1)
 
 
 PLANTS = [Plant(kind.__name__, kind) for kind in (Slide, SlideTwoDelays, SlideDeclared)] + [

@@ -29,9 +29,7 @@ def command(x, inputs):
 def radau(plant: Plant, X, D_hat, t=0.0):
     """P(1) by Radau."""
 
-    def f(x, P):
-        return D_hat * np.asarray(plant.f(P, command(x, plant.m), t + x * D_hat))
-
+    f = lambda x, P: D_hat * np.asarray(plant.f(P, command(x, plant.m), t + x * D_hat))
     return solve_ivp(f, (0, 1), X, method="Radau", rtol=1e-10, atol=1e-12).y[:, -1]
 
 
@@ -104,9 +102,7 @@ def test_the_mechanics_that_plants_declare_are_those_of_f(name):
 
 
 def test_refusals_are_one_line_each(tmp_path):
-    def short(x, u, t, p, M):
-        return [[2.0, 0.0]], [u.u], [p.drag]
-
+    short = lambda x, u, t, p, M: ([[2.0, 0.0]], [u.u], [p.drag])
     other = Plant("other", type("Other", (Sprung,), {"mechanics": short}))
     spring = npred.plants.Plant("sprung", Sprung, {"spring": 5.0})
     for refused, call in {
