@@ -173,8 +173,8 @@ class Pair:
             ("innovation", 10, 10 * sizes),
         ):  # fmt: skip
             of_c, of_python = np.array(getattr(status, name)), np.array(getattr(python, name))
-            near = np.abs(of_c - of_python) <= limit * (absolute + relative * np.abs(of_python))
-            assert (near | (of_c == of_python) | (np.isnan(of_c) & np.isnan(of_python))).all(), (name, of_c, of_python)
+            near = np.isclose(of_c, of_python, rtol=limit * relative, atol=limit * absolute, equal_nan=True)
+            assert near.all(), (name, of_c, of_python)
         assert (np.abs(np.array(status.offset) - python.offset) <= 10 * limit * self.size).all()
         self.handed += python.handed_over
         self.filtered += python.filtered

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import FakeGpu
-from npred.lab.stages.train.summary import summary
+from npred.lab.stages.train import summary
 from operator_samples import PLANT, samples
 from silent import Silent
 
