@@ -168,10 +168,8 @@ class Pair:
         exact = ("late", "refused", "missed", "handed_over", "fallback", "filtered", "unkept")
         assert [getattr(status, name) for name in exact] == [getattr(python, name) for name in exact]
         sizes = np.maximum(1.0, np.abs(START[self.python.plant.name]).max())
-        for name, relative, absolute in (
-            ("D_hat", 1, 0), ("age", 1, 1), ("D_hat_spread", 1e3, 0), ("error", 1e6, 0), ("kept", 1e3, 10),
-            ("innovation", 10, 10 * sizes),
-        ):  # fmt: skip
+        limits = {"D_hat": (1, 0), "age": (1, 1), "D_hat_spread": (1e3, 0), "error": (1e6, 0), "kept": (1e3, 10)}
+        for name, (relative, absolute) in (limits | {"innovation": (10, 10 * sizes)}).items():
             of_c, of_python = np.array(getattr(status, name)), np.array(getattr(python, name))
             near = np.isclose(of_c, of_python, rtol=limit * relative, atol=limit * absolute, equal_nan=True)
             assert near.all(), (name, of_c, of_python)

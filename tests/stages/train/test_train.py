@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 from fake_gpu import FakeGpu
-from npred.lab.stages.train import summary
 from operator_samples import PLANT, samples
 from silent import Silent
 
 from npred.lab import config
 from npred.lab.config.results import Trained
 from npred.lab.scheduler.job import Job
+from npred.lab.stages.train import summary
 from npred.lab.stages.train.train import run
 from npred.lab.training import captured
 from npred.lab.training.data import shards
