@@ -1,6 +1,7 @@
 """Controllers exported to C, compiled with gcc and called by ctypes, and closed loops of either kind of controller."""
 
 import ctypes
+import functools
 import shutil
 import subprocess
 
@@ -25,6 +26,7 @@ unsigned long size_of_saved(void) { return sizeof(npred_saved); }
 """
 TYPES = {"double": np.float64, "float": np.float32}
 COMPILED = {}  # libraries by their text: tests of one controller share one
+sources = functools.cache(c_controller.sources)
 
 
 def find_nothing(folder, file, *flags):
@@ -37,7 +39,7 @@ def find_nothing(folder, file, *flags):
 
 def library(controller, folder, precision="double"):
     """The shared library of a controller; its two files are in the folder."""
-    header, source = c_controller.sources(controller, precision=precision)
+    header, source = sources(controller, precision=precision)
     (folder / "npred.h").write_text(header)
     (folder / "npred.c").write_text(source)
     (folder / "sizes.c").write_text(SIZES)

@@ -8,14 +8,8 @@ def driven(**parts):
 
     class Driven:
         states, inputs, box = ("x",), ("U",), {"x": (0.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [u.U + M.sin(2 * t)]
-
-        def kappa(x, t, p, M):
-            return [-x.x]
-
-        def V(x, t, p, M):
-            return x.x**2
+        f = lambda x, u, t, p, M: [u.U + M.sin(2 * t)]
+        kappa = lambda x, t, p, M: [-x.x]
+        V = lambda x, t, p, M: x.x**2
 
     return Plant("Driven", type("Changed", (Driven,), parts))

@@ -52,15 +52,9 @@ def several_inputs() -> tuple[plants.Plant, Arrays]:
 
     class Two:
         states, inputs, box = ("a", "b", "c"), ("U", "V"), {}
-
-        def f(x, u, t, p, M):
-            return [u.U - x.a, u.V - x.b, x.a * x.b - x.c]
-
-        def kappa(x, t, p, M):
-            return [-x.a, -x.b]
-
-        def V(x, t, p, M):
-            return x.a**2
+        f = lambda x, u, t, p, M: [u.U - x.a, u.V - x.b, x.a * x.b - x.c]
+        kappa = lambda x, t, p, M: [-x.a, -x.b]
+        V = lambda x, t, p, M: x.a**2
 
     random = np.random.default_rng(0)
     X, u, D_hat = random.normal(size=(4, 3)), random.normal(size=(4, 11, 2)), random.uniform(0.3, 2, 4)
@@ -72,18 +66,10 @@ def holding() -> tuple[plants.Plant, Arrays]:
 
     class Holding:
         states, inputs, box = ("X",), ("U",), {}
-
-        def f(x, u, t, p, M):
-            return [u.U - x.X]
-
-        def kappa(x, t, p, M):
-            return [0.5 - (2 + M.sin(t)) * (x.X - 0.5)]
-
-        def V(x, t, p, M):
-            return (x.X - 0.5) ** 2
-
-        def reference(t, p, M):
-            return [0.5]
+        f = lambda x, u, t, p, M: [u.U - x.X]
+        kappa = lambda x, t, p, M: [0.5 - (2 + M.sin(t)) * (x.X - 0.5)]
+        V = lambda x, t, p, M: (x.X - 0.5) ** 2
+        reference = lambda t, p, M: [0.5]
 
     random = np.random.default_rng(0)
     X, u, D_hat = random.normal(size=(4, 1)), random.normal(size=(4, 11, 1)), random.uniform(0.3, 2, 4)

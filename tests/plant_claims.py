@@ -132,7 +132,7 @@ def replayed(plant: Plant, loop: Trajectories, D: Any) -> np.ndarray:
 
 
 def _advance(plant: Plant, X: np.ndarray, u: np.ndarray, t: float, dt: float) -> np.ndarray:
-    solved = solve_ivp(lambda s, x: plant.f(x, u, s), (t, t + dt), X, "DOP853", rtol=1e-10, atol=1e-12)
+    solved = solve_ivp(lambda s, x: plant.f(x, u, s), (t, t + dt), X, "DOP853", first_step=dt, rtol=1e-10, atol=1e-12)
     return solved.y[:, -1]
 
 

@@ -13,13 +13,9 @@ class Reactor:
 
     def f(x, u, t, p, M):
         reaction = p.k0 * M.exp(-p.E / x.T) * x.c
-        return [
-            p.rate * (1 - x.c) - reaction,
-            p.rate * (350 - x.T) + p.heat * reaction + p.jacket * (u.Tc - x.T),
-        ]
+        return [p.rate * (1 - x.c) - reaction, p.rate * (350 - x.T) + p.heat * reaction + p.jacket * (u.Tc - x.T)]
 
-    def kappa(x, t, p, M):
-        return [300.0 - p.gain * (x.T - 350.0)]
+    kappa = lambda x, t, p, M: [300.0 - p.gain * (x.T - 350.0)]
 
     def V(x, t, p, M):
         c, T = x.c - 0.5, x.T - 350.0

@@ -7,12 +7,8 @@ class Oscillator:
     """Van der Pol's equation, late input; stiff for a large mu."""
 
     states, inputs, parameters, guess = ("x", "v"), ("u",), {"mu": 200.0}, (0.0, 0.0)
-
-    def f(x, u, t, p, M):
-        return [x.v, p.mu * (1 - x.x**2) * x.v - x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [-x.x - x.v]
+    f = lambda x, u, t, p, M: [x.v, p.mu * (1 - x.x**2) * x.v - x.x + u.u]
+    kappa = lambda x, t, p, M: [-x.x - x.v]
 
 
 class Lag:
@@ -20,27 +16,15 @@ class Lag:
 
     states, inputs, parameters = ("fast", "slow"), ("u",), {"rate": 2000.0}
     period = 2 * np.pi
-
-    def f(x, u, t, p, M):
-        return [-p.rate * (x.fast - M.cos(t) - u.u) + 0.1 * x.slow, x.fast - 2 * x.slow]
-
-    def kappa(x, t, p, M):
-        return [-0.1 * x.slow + 0.1 * M.sin(t)]
-
-    def reference(t, p, M):
-        return [M.cos(t), M.cos(t)]
+    f = lambda x, u, t, p, M: [-p.rate * (x.fast - M.cos(t) - u.u) + 0.1 * x.slow, x.fast - 2 * x.slow]
+    kappa = lambda x, t, p, M: [-0.1 * x.slow + 0.1 * M.sin(t)]
+    reference = lambda t, p, M: [M.cos(t), M.cos(t)]
 
 
 class Sprung:
     """A mass on a spring and a stiff damper; its rate is declared before its position."""
 
     states, inputs, parameters = ("v", "q"), ("u",), {"drag": 3000.0, "spring": 1.0}
-
-    def f(x, u, t, p, M):
-        return [(u.u - M.sin(x.q) - p.drag * x.v) / 2.0, x.v]
-
-    def mechanics(x, u, t, p, M):
-        return [[2.0]], [u.u - p.spring * M.sin(x.q)], [p.drag]
-
-    def kappa(x, t, p, M):
-        return [-x.q]
+    f = lambda x, u, t, p, M: [(u.u - M.sin(x.q) - p.drag * x.v) / 2.0, x.v]
+    mechanics = lambda x, u, t, p, M: ([[2.0]], [u.u - p.spring * M.sin(x.q)], [p.drag])
+    kappa = lambda x, t, p, M: [-x.q]

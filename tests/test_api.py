@@ -1,5 +1,6 @@
-"""The public names, as a script uses them."""
+"""The public names, as a script uses them; and no tensor of a GPU becomes an array before it is fetched."""
 
+import ast
 import pydoc
 import subprocess
 import sys
@@ -134,3 +135,49 @@ def test_a_mistake_is_one_line_with_a_cure(call, message):
     with pytest.raises(ConfigError) as error:
         call()
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+ROOT = Path(__file__).parent.parent
+# `tensor.numpy()` raises on a GPU alone: each call says `.cpu()` before it or `force=True`, but in these modules, whose
+# tensors are always the CPU's.
+OF_THE_CPU = {
+    "npred_experiments/bounds.py",  # its own search, on arrays
+    "npred/lab/training/operators/scaling.py",  # made of arrays, before a network moves
+    "npred_experiments/evolution.py",  # its own search, on arrays
+}
+SAVED = ("npred/networks/", "npred/exports/")  # what is fused or exported was loaded from files, to the CPU
+MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("npred_*/*.py")]
+
+
+def unfetched(text: str) -> list[int]:
+    """The lines of `x.numpy()` without `.cpu()` before it and without `force=True`."""
+    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    named = [call for call in calls if isinstance(call.func, ast.Attribute) and call.func.attr == "numpy"]
+    return [call.lineno for call in named if not call.keywords and not _fetched(call.func.value)]  # type: ignore[union-attr]
+
+
+def _fetched(node: ast.expr) -> bool:
+    """True if `.cpu()` is among the calls that the expression chains."""
+    while isinstance(node, ast.Call | ast.Attribute):
+        if isinstance(node, ast.Attribute) and node.attr == "cpu":
+            return True
+        node = node.func if isinstance(node, ast.Call) else node.value
+    return False
+
+
+def test_a_tensor_is_fetched_before_it_is_an_array():
+    names = {path.relative_to(ROOT).as_posix(): path for path in MODULES}
+    seen = {name: path for name, path in names.items() if name not in OF_THE_CPU and not name.startswith(SAVED)}
+    found = [f"{name}:{line}" for name, path in seen.items() for line in unfetched(path.read_text())]
+    assert names.keys() >= OF_THE_CPU and not found, "\n".join(found)
+
+
+def test_an_unfetched_tensor_is_found():
+    lines = [
+        "a.numpy()",
+        "b.cpu().numpy()",
+        "c.cpu().flatten().numpy().data",
+        "d.numpy(force=True)",
+        "e.double().numpy()",
+    ]
+    assert unfetched("\n".join(lines)) == [1, 5]

@@ -116,10 +116,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("evaluate={bounds=[0.1, 4.0], case_D_hat0=[1, 9]}", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
         ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
         ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
-        (
-            "train.models=['cnn']",
-            ["train.models", "expected one of deeponet, fno", "table [train.NAME]", "'cnn'"],
-        ),
+        ("train.models=['cnn']", ["train.models", "expected one of deeponet, fno", "table [train.NAME]", "'cnn'"]),
         ("train.fno.snapshots=[9999]", ["train.fno", "snapshots", "9999"]),
         ("train.fno={eps=0.1, snapshots=[2]}", ["train.fno", "snapshots: expected none beside eps"]),
         ("generate=3", ["generate", "3"]),

@@ -27,12 +27,8 @@ class Tank:
     states, inputs = ("h",), ("q",)
     parameters = {"area": 1.0}
     box = {"h": (0.5, 2.0)}
-
-    def f(x, u, t, p, M):
-        return [(u.q - x.h) / p.area]
-
-    def kappa(x, t, p, M):
-        return [1.0 + p.area * (1.0 - x.h)]
+    f = lambda x, u, t, p, M: [(u.q - x.h) / p.area]
+    kappa = lambda x, t, p, M: [1.0 + p.area * (1.0 - x.h)]
 
 
 TANK = plants.make("tank", Tank)
@@ -77,10 +73,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "precision": (lambda: npred.export(controller(), "controller", "x", precision="Float"), "float"),
     "platform": (lambda: npred.export(controller(), "fmu", "x.fmu", platforms=["win46"]), "win64"),
     "network": (lambda: npred.train("smoke", "deepnet"), "deeponet"),
-    "free parameter": (
-        lambda: npred.identify(TANK, "log.csv", columns={"q": "U", "h": "X"}, free=["are"]),
-        "area",
-    ),
+    "free parameter": (lambda: npred.identify(TANK, "log.csv", columns={"q": "U", "h": "X"}, free=["are"]), "area"),
     "state of f": (lambda: traced(f=lambda x, u, t, p, M: [x.hh]), "h"),
     "function of M": (lambda: traced(f=lambda x, u, t, p, M: [M.sqr(x.h)]), "sqrt"),
     "box": (lambda: traced(box={"hh": (0, 1)}), "h"),

@@ -88,6 +88,11 @@ def pages_with(*languages: str) -> list[Any]:
     return [pytest.param(page, id=str(page.relative_to(ROOT))) for page in chosen]
 
 
+def needs_networks(page: Path) -> bool:
+    """Whether a page has more to run than test_python_that_needs_no_trained_network_runs does."""
+    return any(b.run and (b.commands or any(word in b.text for word in TRAINED)) for b in blocks(page))
+
+
 def marked(params: list[Any]) -> list[Any]:
     """The pages as slow tests, and those in LONG as a campaign's."""
     marks = ((p, pytest.mark.campaign if p.id in LONG else pytest.mark.slow) for p in params)
@@ -118,7 +123,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("store")
 
 
-@pytest.mark.parametrize("page", marked(pages_with("python", "sh")))
+@pytest.mark.parametrize("page", marked([page for page in pages_with("python", "sh") if needs_networks(*page.values)]))
 def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)

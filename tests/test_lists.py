@@ -26,18 +26,10 @@ class Limited:
     states, inputs, guess = ("x", "v"), ("a",), (0.0, 0.0)
     outputs = ("x",)
     box = {"x": (-1.0, 0.5), "v": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        return [x.v, u.a]
-
-    def kappa(x, t, p, M):
-        return [-x.x - x.v]
-
-    def safe(x, t, p, M):
-        return [1 - x.x]
-
-    def output(x, t, p, M):
-        return [x.x]
+    f = lambda x, u, t, p, M: [x.v, u.a]
+    kappa = lambda x, t, p, M: [-x.x - x.v]
+    safe = lambda x, t, p, M: [1 - x.x]
+    output = lambda x, t, p, M: [x.x]
 
 
 MASS = npred.plants.Plant("mass", Limited)

@@ -14,7 +14,7 @@ from npred import plants
 PACKAGE = Path(plants.__file__).parent.parent
 NAMES = [row["name"] for row in plants.named() if plants.is_builtin(row["name"])]
 EXCEPTIONS = {
-    "activator_repressor": {"npred/cli/commands.py"},  # the plant of the data that [DAPF]'s authors published
+    "activator_repressor": {"npred/cli/commands.py"}  # the plant of the data that [DAPF]'s authors published
 }
 ODD = re.compile(
     r"\bmend\b|\bone an? (?:state|input|loop|joint)\b|\ba number an? \w+|\b[µn]s an? (?:call|evaluation)"

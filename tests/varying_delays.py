@@ -82,9 +82,7 @@ def predictor_feedback(robot, X0, times):
 def arrival(flow, D, X, t, sent=0.0):
     """The time s with s - D(X(s), s) = sent, along X' = flow(X, t) from X at t, and X(s)."""
 
-    def reached(s, x):
-        return s - D(x, s) - sent
-
+    reached = lambda s, x: s - D(x, s) - sent
     reached.terminal, reached.direction = True, 1
     run = solve_ivp(lambda s, x: flow(x, s), (t, t + 10), np.array(X), events=reached, first_step=1e-3, **TIGHT)
     assert run.status == 1

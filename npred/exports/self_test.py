@@ -102,15 +102,15 @@ def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float
     one, saved = s % len(Y), twin.state()
     if not twin.settings.gated:
         return Y
+    scout = twin.fresh()
 
     def tried(sample: np.ndarray) -> Controller:
-        scout = twin.fresh()
         scout.restore(saved)
         scout.step(sample, t=t)
         return scout
 
     def believed(off: float) -> bool:
-        scout = tried(np.where(np.arange(len(Y)) == one, expected + off, expected))
+        tried(np.where(np.arange(len(Y)) == one, expected + off, expected))
         return int(scout.memory.fate[one, 0]) == USED if scout.observer else scout.status.age == 0.0
 
     try:

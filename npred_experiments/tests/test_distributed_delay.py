@@ -27,7 +27,7 @@ def test_the_first_command_is_that_of_scipy():
     """ξ by solve_ivp; β(h) is the derivative of ξ(h) by x2, by central differences."""
 
     def coasted(x2: float) -> np.ndarray:
-        rate = lambda s, x: [x[1], math.sin(x[0]) + 1.0]  # noqa: E731
+        rate = lambda s, x: [x[1], math.sin(x[0]) + 1.0]
         return solve_ivp(rate, (0, pendulum.H), [math.pi, x2], rtol=1e-12, atol=1e-12).y[:, -1]
 
     y, step = coasted(math.pi / 2), 1e-4

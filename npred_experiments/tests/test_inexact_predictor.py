@@ -20,7 +20,7 @@ def test_the_printed_distances_of_coarser_steps(dt: float, printed: float):
 
 
 def test_the_first_prediction_is_that_of_scipy():
-    rate = lambda t, x: [x[1], -x[0] + math.sin(x[0]) + x[1]]  # noqa: E731
+    rate = lambda t, x: [x[1], -x[0] + math.sin(x[0]) + x[1]]
     P = solve_ivp(rate, (0, D0), two.START, rtol=1e-13, atol=1e-13).y[:, -1]
     first, u, _ = two.audited(t_end=0.0)
     assert first == pytest.approx(P, abs=1e-11)

@@ -43,7 +43,7 @@ def test_the_answers_while_recording_are_not_exact():
 
 def test_a_network_disturbs_runs_by_a_share_of_its_error_and_by_no_more_than_its_first_data_were():
     exact = replace(reproduced.small_loop(), numerical=lambda: lambda X, u, D, t: np.ones((4, 3, 2)), calls=1, kept=1)
-    wrong = lambda X, u, D, t: np.full((4, 3, 2), 2.0)  # noqa: E731 - beside the exact one
+    wrong = lambda X, u, D, t: np.full((4, 3, 2), 2.0)
     for noise, spread, largest in ((0.0, 0.02, 0.04), (0.05, 0.02, 0.14), (1.0, 0.0, 1.0)):
         recorder = network_loop.Recorder(replace(exact, noise=noise, spread=spread), np.random.default_rng(0), wrong)
         error = recorder(np.zeros((4, 2)), np.zeros((4, 3, 1)), np.ones(4), 0.0) - 1

@@ -296,11 +296,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
         (["run", "tiny.toml", "--set", "plant=nonesuch"], 2, "nonesuch"),
         (["run", "tiny.toml", "--set", "plant=broken.py:Tank"], 2, "broken.py"),
         (["run", "tiny.toml", "--set", "parameters.zz=1"], 2, "zz"),
-        (
-            ["train", "tiny.toml", "--model", "cnn"],
-            2,
-            "--model: expected one of deeponet, fno, got 'cnn'",
-        ),
+        (["train", "tiny.toml", "--model", "cnn"], 2, "--model: expected one of deeponet, fno, got 'cnn'"),
         (["run", "tiny.toml", "--device", "gpu"], 2, "--device: expected auto, cpu, cuda or cuda:N, got 'gpu'"),
         (["run", "tiny.toml", "--device", "cuda:99"], 5, "got 'cuda:99'"),
         (["run", "tiny.toml", "--executor", "ray"], 2, "--executor: expected local or dask:ADDRESS, got 'ray'"),

@@ -103,7 +103,7 @@ def test_what_the_numbers_depend_on_is_shown_where_it_differs(call: Call, monkey
     assert document(call("verify", "--json"))["artifacts"][0]["made_with"]["mkl_mode"] == "default"
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
     monkeypatch.setenv("ATEN_CPU_CAPABILITY", "default")
-    write = lambda job: {"rollouts": 50, "file": (job.folder / "data.bin").write_bytes(b"other bytes")}  # noqa: E731
+    write = lambda job: {"rollouts": 50, "file": (job.folder / "data.bin").write_bytes(b"other bytes")}
     monkeypatch.setitem(fake_stages.ANSWERS, "generate", write)
     call("generate", "tiny.toml", "--store", "other")
     call("generate", "tiny.toml", "--set", "seed=2")

@@ -16,12 +16,8 @@ class TwoDelays:
     """Two inputs, the second one later; unstable without them."""
 
     states, inputs, delays = ("x", "y"), ("a", "b"), (0.4, 1.0)
-
-    def f(x, u, t, p, M):
-        return [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b]
-
-    def kappa(x, t, p, M):
-        return [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y]
+    f = lambda x, u, t, p, M: [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b]
+    kappa = lambda x, t, p, M: [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y]
 
 
 def abscissa(plant: Plant, D: float, D_hat: float, N: int = 40) -> float:

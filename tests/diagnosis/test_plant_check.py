@@ -114,15 +114,9 @@ def test_a_V_that_rises_is_a_warning_with_a_better_one():
     class Spring:
         states, inputs = ("x", "v"), ("F",)
         box = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [x.v, u.F - x.x]
-
-        def kappa(x, t, p, M):
-            return [-x.v]
-
-        def V(x, t, p, M):
-            return x.x**2
+        f = lambda x, u, t, p, M: [x.v, u.F - x.x]
+        kappa = lambda x, t, p, M: [-x.v]
+        V = lambda x, t, p, M: x.x**2
 
     answer = answers(Plant("Spring", Spring))["V"]
     assert answer.verdict == "warn"
@@ -172,9 +166,7 @@ def test_settings_that_make_no_sense_are_told(settings):
 
 
 def test_the_command_says_it_to_people_and_programs(tank_file):
-    def call(*arguments):
-        return CliRunner().invoke(app, ["plants", "check", *arguments])
-
+    call = lambda *arguments: CliRunner().invoke(app, ["plants", "check", *arguments])
     good = call(tank_file(), "--json")
     assert good.exit_code == 0
     document = json.loads(good.stdout)
@@ -376,15 +368,9 @@ class Late:
     """x' = u with u = -x, whose commands come 1 + slope x s late: 1 - D_X f = 1 + slope x under kappa."""
 
     states, inputs, parameters, box = ("x",), ("u",), {"slope": 0.5}, {"x": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        return [u.u]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
-
-    def delay(x, t, p, M):
-        return 1 + p.slope * x.x
+    f = lambda x, u, t, p, M: [u.u]
+    kappa = lambda x, t, p, M: [-x.x]
+    delay = lambda x, t, p, M: 1 + p.slope * x.x
 
 
 @pytest.mark.parametrize(("slope", "verdict", "worst"), [(0.5, "yes", 0.5), (0.9, "yes", 0.1), (-0.5, "yes", 0.5)])
@@ -396,8 +382,7 @@ def test_the_worst_speed_of_the_commands_on_the_box(slope, verdict, worst):
 
 def test_where_commands_would_overtake_each_other_there_is_a_warning():
     class Fast(Late):
-        def kappa(x, t, p, M):
-            return [-3 * x.x]
+        kappa = lambda x, t, p, M: [-3 * x.x]
 
     answer = answers(Plant("Fast", Fast))["feasibility"]  # 1 + 1.5 x is negative for x < -2/3, a sixth of the box
     assert answer.verdict == "warn" and "loops that come there end; shrink box" in answer.text
@@ -407,9 +392,7 @@ def test_where_commands_would_overtake_each_other_there_is_a_warning():
 def test_a_delay_that_depends_on_time_is_looked_at_over_a_period():
     class Turning(Late):
         period = 2 * np.pi
-
-        def delay(x, t, p, M):
-            return 1 + 0.8 * M.sin(t)
+        delay = lambda x, t, p, M: 1 + 0.8 * M.sin(t)
 
     text = answers(Plant("Turning", Turning))["feasibility"].text
     assert float(re.findall(r"at least ([\d.]+)", text)[0]) == pytest.approx(0.2, abs=1e-6)  # 1 - D_t at t = 0
@@ -472,12 +455,8 @@ def test_signs_stand_between_the_terms_of_what_is_offered():
     class Turned:
         states, inputs, guess = ("x", "y"), ("U",), (0.0, 0.0)
         box = {"x": (-3.0, 0.0), "y": (0.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [-(x.x + 1) - 3 * (x.y - 0.5), u.U + 3 * (x.x + 1)]
-
-        def kappa(x, t, p, M):
-            return [-2 * (x.y - 0.5)]
+        f = lambda x, u, t, p, M: [-(x.x + 1) - 3 * (x.y - 0.5), u.U + 3 * (x.x + 1)]
+        kappa = lambda x, t, p, M: [-2 * (x.y - 0.5)]
 
     plant = Plant("turned", Turned)
     offered = re.search(r"V = (.+) solves the Lyapunov equation", answers(plant)["V"].text)

@@ -17,15 +17,9 @@ class Spring:
     states, inputs = ("q", "s"), ("U",)
     box = {"q": (-1.0, 1.0), "s": (-2.0, 2.0)}
     outputs = ("position",)
-
-    def f(x, u, t, p, M):
-        return [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.s]
-
-    def output(x, t, p, M):
-        return [x.q]
+    f = lambda x, u, t, p, M: [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U]
+    kappa = lambda x, t, p, M: [-x.s]
+    output = lambda x, t, p, M: [x.q]
 
 
 SPRING_A, SPRING_B, SPRING_C = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.0], [1.5]]), np.array([[1.0, 0.0]])
@@ -37,15 +31,9 @@ class Swing:
     states, inputs = ("angle", "rate"), ("U",)
     box = {"angle": (-1.0, 1.0), "rate": (-2.0, 2.0)}
     outputs = ("height", "product")
-
-    def f(x, u, t, p, M):
-        return [x.rate, -4.0 * M.sin(x.angle) - 0.2 * x.rate + u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.rate]
-
-    def output(x, t, p, M):
-        return [M.sin(x.angle), x.rate * M.cos(x.angle) + x.angle]
+    f = lambda x, u, t, p, M: [x.rate, -4.0 * M.sin(x.angle) - 0.2 * x.rate + u.U]
+    kappa = lambda x, t, p, M: [-x.rate]
+    output = lambda x, t, p, M: [M.sin(x.angle), x.rate * M.cos(x.angle) + x.angle]
 
 
 def swing_slope(x, u):
@@ -96,8 +84,7 @@ def swing_in(time=1.0, angle=1.0, rate=1.0, input=1.0, outputs=(1.0, 1.0)) -> Pl
             x1, x2 = x.angle / angle, x.rate / rate
             return [angle / time * x2, rate / time * (-4.0 * M.sin(x1) - 0.2 * x2 + u.U / input)]
 
-        def kappa(x, t, p, M):
-            return [-input / rate * x.rate]
+        kappa = lambda x, t, p, M: [-input / rate * x.rate]
 
         def output(x, t, p, M):
             x1, x2 = x.angle / angle, x.rate / rate
@@ -111,12 +98,6 @@ class Tide:
 
     states, inputs, outputs = ("q", "s"), ("U",), ("gauge",)
     box = {"q": (-1.0, 1.0), "s": (-2.0, 2.0)}
-
-    def f(x, u, t, p, M):
-        return [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U + 2.0 * M.sin(3.0 * t)]
-
-    def kappa(x, t, p, M):
-        return [-x.s]
-
-    def output(x, t, p, M):
-        return [x.q + 0.5 * M.sin(5.0 * t)]
+    f = lambda x, u, t, p, M: [x.s, -2.0 * x.q - 0.3 * x.s + 1.5 * u.U + 2.0 * M.sin(3.0 * t)]
+    kappa = lambda x, t, p, M: [-x.s]
+    output = lambda x, t, p, M: [x.q + 0.5 * M.sin(5.0 * t)]

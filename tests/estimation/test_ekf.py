@@ -321,12 +321,8 @@ def test_defaults_are_shares_of_what_is_usual_of_the_plant():
 
     class Warm(Spring):
         box = {"s": (-2.0, 2.0)}
-
-        def f(x, u, t, p, M):
-            return [x.s, 30.0 - x.q - x.s + u.U]
-
-        def kappa(x, t, p, M):
-            return [-x.s]
+        f = lambda x, u, t, p, M: [x.s, 30.0 - x.q - x.s + u.U]
+        kappa = lambda x, t, p, M: [-x.s]
 
     inside, without = EKF(plant_of(Spring)), EKF(plant_of(Warm))
     assert np.sqrt(inside.R[0]) == pytest.approx(0.01, rel=0.05)

@@ -35,10 +35,7 @@ def controllers():
     turns, slow = npred.predictor("rk4", UNICYCLE, 41), npred.predictor("heun", IN_SPACE, 41)
     observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
     measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor("rk4", PLANT, 51)}
-    measured |= {
-        "deeponet, guard": npred.guarded(network(0), 0.01),
-        "euler, guard": npred.guarded(euler, 0.01),
-    }
+    measured |= {"deeponet, guard": npred.guarded(network(0), 0.01), "euler, guard": npred.guarded(euler, 0.01)}
     measured |= {"picard": npred.predictor("picard", PLANT, 21)}
     cases = {
         name: (npred.controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0)
@@ -246,8 +243,8 @@ def test_estimate_and_time_can_be_set_as_in_python(cases, tmp_path, name, D_hat,
     case, _, start = cases[name]
     controller, run = case.fresh(), InC(library(case, tmp_path), case.plant)
     u = [1e-3 * np.ones((51, 1))] if case.actuator == "measured" else []
-    set_D_hat = lambda value: run.library.npred_set_D_hat(run.memory, ctypes.c_double(value))  # noqa: E731
-    set_time = lambda value: run.library.npred_set_time(run.memory, ctypes.c_double(value))  # noqa: E731
+    set_D_hat = lambda value: run.library.npred_set_D_hat(run.memory, ctypes.c_double(value))
+    set_time = lambda value: run.library.npred_set_time(run.memory, ctypes.c_double(value))
 
     def steps(X, count=3):
         assert [alike(run, controller, X, u) for _ in range(count)] == [0] * count
@@ -273,15 +270,9 @@ def test_estimate_and_time_can_be_set_as_in_python(cases, tmp_path, name, D_hat,
 def test_a_prediction_that_diverges_is_refused_as_in_python(tmp_path):
     class Cube:
         states, inputs = ("x",), ("u",)
-
-        def f(x, u, t, p, M):
-            return [x.x**3 + u.u]
-
-        def kappa(x, t, p, M):
-            return [-(x.x**3) - x.x]
-
-        def V(x, t, p, M):
-            return x.x**2
+        f = lambda x, u, t, p, M: [x.x**3 + u.u]
+        kappa = lambda x, t, p, M: [-(x.x**3) - x.x]
+        V = lambda x, t, p, M: x.x**2
 
     plant = npred.plants.Plant("cube", Cube)
     controller = npred.controller(

@@ -30,7 +30,7 @@ def failing(loop, fault):
 
 @pytest.fixture(scope="module", params=["EKF", "Luenberger"])
 def compiled(request, tmp_path_factory):
-    make = lambda: controller("chemostat", request.param)  # noqa: E731
+    make = lambda: controller("chemostat", request.param)
     return make, library(make(), tmp_path_factory.mktemp("faults"))
 
 
@@ -54,7 +54,7 @@ def test_in_c(compiled, fault):
 @needs_cc
 @pytest.mark.parametrize("version", [3, 2])
 def test_in_an_fmu(tmp_path, version):
-    make = lambda: controller("chemostat", "EKF")  # noqa: E731
+    make = lambda: controller("chemostat", "EKF")
     path, written = exported(make(), tmp_path, version)
     for fault in ("inf", "1e+308", "4"):
         run = InFmu(path, tmp_path / "extracted", written, DT)

@@ -67,9 +67,7 @@ class Limited(ActivatorRepressor):
     """The repressor is to stay above a floor, with an input that cannot always do so."""
 
     input_bounds = ((-0.5, 0.5),)
-
-    def safe(x, t, p, M):
-        return [x.x2 - 18.0]
+    safe = lambda x, t, p, M: [x.x2 - 18.0]
 
 
 def protecting():
@@ -475,15 +473,9 @@ class Odd:
     states, inputs = ("größe", "int"), ("void",)
     parameters = {"static": 1.0}
     units = {"größe": "m³ & <s> \"'", "void": "*/ #define ??/"}
-
-    def f(x, u, t, p, M):
-        return [x[1], u.void - p.static * x[0]]
-
-    def kappa(x, t, p, M):
-        return [-x[1]]
-
-    def V(x, t, p, M):
-        return x[0] ** 2 + x[1] ** 2
+    f = lambda x, u, t, p, M: [x[1], u.void - p.static * x[0]]
+    kappa = lambda x, t, p, M: [-x[1]]
+    V = lambda x, t, p, M: x[0] ** 2 + x[1] ** 2
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -1,12 +1,16 @@
-"""Intervals of delays and parameters: of errors that stay on one side, and of segments that disagree."""
+"""The search, the intervals it gives, and the delay or lag between which the data decide."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from recorded import recording
+from recorded import recording, steps
 from test_identify import PERIOD, decay, decayed
 
 import npred
 from npred.identification import search
+from npred.identification.alternatives import FittedModel, prediction_error
 from npred.identification.estimate import correlation_time, drawn
 
 
@@ -68,3 +72,51 @@ def test_a_parameter_that_looks_like_a_delay_has_an_interval_for_both(seed):
     low, high = found.parameter_intervals["a"]
     assert low <= -0.5 <= high and found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
     assert "The log hardly tells a from the delay: their errors correlate by -0.97." in found.sentences
+
+
+LOW, HIGH = np.zeros(2), np.full(2, 3.0)
+BEST, CURVES = np.array([0.7, 1.9]), np.array([[400.0, 30.0], [30.0, 25.0]])
+
+
+def at(z, _):
+    """A parabola over two delays, which depend on each other."""
+    return SimpleNamespace(cost=float(9 + (z - BEST) @ CURVES @ (z - BEST)))
+
+
+def test_a_descent_ends_at_the_least_cost_and_knows_its_widths():
+    z, fit, widths = search.descend(at, at(np.ones(2), None), np.ones(2), LOW, HIGH, 0.2, 1e-4)
+    np.testing.assert_allclose(z, BEST, atol=2e-3)
+    np.testing.assert_allclose(widths, 1 / np.sqrt(np.diag(CURVES)), rtol=0.3)
+    assert fit.cost < 9.001
+
+
+@pytest.mark.parametrize("level", [3.84, 38.4])
+@pytest.mark.parametrize("j", [0, 1])
+def test_an_interval_ends_where_the_profile_has_risen_by_the_level(j, level):
+    """The other delay is at its best along it; also of errors that stay on one side for ten samples."""
+    widths = 1 / np.sqrt(np.diag(CURVES))
+    profile = search.profile(at, at(BEST, None), BEST, j, LOW, HIGH, widths)
+    half = np.sqrt(level * np.linalg.inv(CURVES)[j, j])
+    expected = np.clip(BEST[j] + half * np.array([-1, 1]), 0, 3)
+    ends = search.interval(profile.values, profile.costs - profile.costs.min(), level)
+    np.testing.assert_allclose(ends, expected, atol=0.03 * half)
+
+
+def test_a_lag_behind_the_delay_is_found_and_the_interval_has_the_shorter_delay():
+    """The valve of 0.2 s behind a delay of 0.4 s looks like a delay of 0.6 s to a model that has none."""
+    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])
+    table = recording(f, [0.0, 0.0], steps(400, 1, 15, 1), [0.4], PERIOD, 0.01, 1, outputs=1)
+    found = npred.identify(decay(), *table, longest=1.5)
+    assert "behind it fits clearly better" in str(found)
+    assert found.interval[0, 0] <= 0.45 and found.interval[0, 1] >= 0.5
+
+
+def test_an_error_on_held_back_samples_is_of_a_model_that_has_not_seen_them():
+    """Only the first third of a segment gives its initial state: a shift of the rest is an error in full."""
+    delays = npred.identify(decay(), *decayed(0.3, noise=0.001), longest=1.0).details["estimate"]
+    segments, candidate = delays.problem.segments, FittedModel(delays.problem, delays.fit)
+    third = max(2, segments.t.shape[1] // 3)
+    shifted = segments.Y.copy()
+    shifted[:, third:] += 0.7
+    assert prediction_error(candidate, segments)[0] < 0.01
+    assert abs(prediction_error(candidate, replace(segments, Y=shifted))[0] - 0.7) < 0.01

@@ -79,12 +79,8 @@ def test_the_size_of_the_noise_is_found_although_each_segment_has_a_state_of_its
 
     class Decay:
         states, inputs = ("X",), ("U",)
-
-        def f(x, u, t, p, M):
-            return [u.U - x.X]
-
-        def kappa(x, t, p, M):
-            return [-x.X]
+        f = lambda x, u, t, p, M: [u.U - x.X]
+        kappa = lambda x, t, p, M: [-x.X]
 
     rng, t = np.random.default_rng(0), 0.1 * np.arange(4000)
     log = Log(t, 0.2 * rng.standard_normal((len(t), 1)), t[:2], np.zeros((2, 1)))
@@ -100,15 +96,9 @@ def test_a_fit_does_not_depend_on_the_unit_of_a_state_that_is_not_measured(unit)
 
     class Cart:
         states, inputs, outputs = ("X", "Y"), ("U",), ("position",)
-
-        def f(x, u, t, p, M):
-            return [x.Y / unit, unit * u.U - 0.8 * x.Y]
-
-        def kappa(x, t, p, M):
-            return [-x.X]
-
-        def output(x, t, p, M):
-            return [x.X]
+        f = lambda x, u, t, p, M: [x.Y / unit, unit * u.U - 0.8 * x.Y]
+        kappa = lambda x, t, p, M: [-x.X]
+        output = lambda x, t, p, M: [x.X]
 
     rng, t = np.random.default_rng(0), 0.1 * np.arange(400)
     positions = np.concatenate([0.2 * k + 0.7 * (1 - np.exp(-0.8 * 0.1 * np.arange(20))) / 0.8 for k in range(20)])

@@ -20,12 +20,8 @@ class Decay:
 
     states, inputs = ("X",), ("U",)
     parameters = {"a": -0.5, "b": 1.0}
-
-    def f(x, u, t, p, M):
-        return [p.a * x.X + p.b * u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.X]
+    f = lambda x, u, t, p, M: [p.a * x.X + p.b * u.U]
+    kappa = lambda x, t, p, M: [-x.X]
 
 
 class Pair:
@@ -33,12 +29,8 @@ class Pair:
 
     states, inputs = ("X", "Y"), ("U", "W")
     parameters = {"a": 1.0}
-
-    def f(x, u, t, p, M):
-        return [u.U - p.a * x.X + 0.3 * x.Y, u.W - 2.0 * x.Y]
-
-    def kappa(x, t, p, M):
-        return [-x.X, -x.Y]
+    f = lambda x, u, t, p, M: [u.U - p.a * x.X + 0.3 * x.Y, u.W - 2.0 * x.Y]
+    kappa = lambda x, t, p, M: [-x.X, -x.Y]
 
 
 class Cart(Pair):
@@ -46,15 +38,9 @@ class Cart(Pair):
 
     states, inputs, outputs = ("X", "Y"), ("U",), ("position",)
     parameters = {"drag": 0.8}
-
-    def f(x, u, t, p, M):
-        return [x.Y, u.U - p.drag * x.Y]
-
-    def kappa(x, t, p, M):
-        return [-x.X]
-
-    def output(x, t, p, M):
-        return [x.X]
+    f = lambda x, u, t, p, M: [x.Y, u.U - p.drag * x.Y]
+    kappa = lambda x, t, p, M: [-x.X]
+    output = lambda x, t, p, M: [x.X]
 
 
 def decay() -> npred.plants.Plant:
@@ -97,14 +83,14 @@ def test_nine_of_ten_intervals_hold_the_delay_also_where_the_model_is_off():
 
 
 def test_inputs_have_delays_of_their_own():
-    f = lambda x, u: np.array([u[0] - x[0] + 0.3 * x[1], u[1] - 2.0 * x[1]])  # noqa: E731
+    f = lambda x, u: np.array([u[0] - x[0] + 0.3 * x[1], u[1] - 2.0 * x[1]])
     table = recording(f, [0.0, 0.0], steps(500, 2, 5, 1), [0.21, 0.63], PERIOD, 0.01, 1)
     found = npred.identify(npred.plants.make("pair", Pair), *table, longest=1.2)
     assert np.abs(found.D - [0.21, 0.63]).max() < 0.2 * PERIOD and found.identifiable.all()
 
 
 def test_a_state_that_is_not_measured_is_no_obstacle():
-    f = lambda x, u: np.array([x[1], u[0] - 0.8 * x[1]])  # noqa: E731
+    f = lambda x, u: np.array([x[1], u[0] - 0.8 * x[1]])
     table = recording(f, [0.0, 0.0], steps(600, 1, 10, 2), [0.4], PERIOD, 0.002, 2, outputs=1)
     found = npred.identify(npred.plants.make("cart", Cart), *table, free=["drag"], longest=1.2)
     assert (
@@ -115,7 +101,7 @@ def test_a_state_that_is_not_measured_is_no_obstacle():
 
 def test_a_black_box_is_fitted_by_differences(tmp_path: Path):
     (tmp_path / "box.py").write_text(BOX)
-    f = lambda x, u: np.array([x[1], -1.2 * np.sin(x[0]) - x[1] + u[0]])  # noqa: E731
+    f = lambda x, u: np.array([x[1], -1.2 * np.sin(x[0]) - x[1] + u[0]])
     table = recording(f, [0.1, 0.0], steps(300, 1, 8, 3), [0.26], PERIOD, 0.01, 3)
     found = npred.identify(npred.plant(f"{tmp_path}/box.py:Box", a=-1.0), *table, free=["a"], longest=1.0)
     assert abs(found.D[0] - 0.26) < PERIOD and abs(found.parameters["a"] + 1.2) < 0.1
@@ -146,7 +132,7 @@ def still(seed: int):
 
 
 def lagged(seed: int):
-    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])  # noqa: E731
+    f = lambda x, u: np.array([-0.5 * x[0] + x[1], (u[0] - x[1]) / 0.2])
     return recording(f, [0.0, 0.0], steps(400, 1, 15, seed), [0.0], PERIOD, 0.02, seed, outputs=1)
 
 
@@ -233,12 +219,8 @@ def log(period: float, count: int = 900) -> Log:
 def of_rate(rate: float) -> npred.plants.Plant:
     class Rate:
         states, inputs, box = ("X",), ("U",), {"X": (-1.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [rate * x.X + M.sin(x.X) * u.U]
-
-        def kappa(x, t, p, M):
-            return [-x.X]
+        f = lambda x, u, t, p, M: [rate * x.X + M.sin(x.X) * u.U]
+        kappa = lambda x, t, p, M: [-x.X]
 
     return npred.plants.make("rate", Rate)
 

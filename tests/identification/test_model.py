@@ -36,15 +36,9 @@ class Swing:
     states, inputs = ("X", "Y"), ("U",)
     parameters = {"a": 1.5}
     outputs = ("angle",)
-
-    def f(x, u, t, p, M):
-        return [x.Y, p.a * M.sin(x.X) - x.Y + u.U]
-
-    def kappa(x, t, p, M):
-        return [-2.0 * x.X]
-
-    def output(x, t, p, M):
-        return [p.a * x.X * x.X + x.Y]
+    f = lambda x, u, t, p, M: [x.Y, p.a * M.sin(x.X) - x.Y + u.U]
+    kappa = lambda x, t, p, M: [-2.0 * x.X]
+    output = lambda x, t, p, M: [p.a * x.X * x.X + x.Y]
 
 
 def segments(outputs: int) -> Segments:
@@ -80,7 +74,7 @@ def test_a_lag_is_that_of_scipy(plant):
     model = RolloutModel(plant, (0,), lag=True, steps=16)
     a = lag_states(parts, np.array([0.1]), tau)
     x = model.states(X, np.array([1.2]), parts.pieces([0.1]), (a, tau))
-    rate = lambda t, a: (_held(parts.log, t - 0.1) - a) / 0.2  # noqa: E731
+    rate = lambda t, a: (_held(parts.log, t - 0.1) - a) / 0.2
     filtered = solve_ivp(rate, (0.0, 3.5), [parts.log.U[0, 0]], max_step=5e-4, dense_output=True).sol
     assert np.allclose(a[:, 0], [filtered(t)[0] for t in parts.t[:, 0]], atol=2e-3)
     for s in range(3):
@@ -131,5 +125,5 @@ def _held(log: Log, t: float) -> float:
 
 def _solved(parts: Segments, s: int, X: np.ndarray, u) -> np.ndarray:
     t = parts.t[s][parts.mask[s]]
-    f = lambda t, x: [x[1], 1.2 * np.sin(x[0]) - x[1] + u(t)]  # noqa: E731
+    f = lambda t, x: [x[1], 1.2 * np.sin(x[0]) - x[1] + u(t)]
     return solve_ivp(f, (t[0], t[-1] + 1e-9), X, t_eval=t, max_step=0.002, rtol=1e-8, atol=1e-10).y.T

@@ -1,18 +1,28 @@
-"""Formulas in C: every operation is that of the interpreter, long functions are called, edges are those of IEEE 754."""
+"""Formulas and loops in C: every operation is that of the interpreter, lane for lane, edges are those of IEEE 754."""
 
 import ctypes
 import math
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from c_controllers import find_nothing, needs_gcc
 from hypothesis import given
 from hypothesis import strategies as st
+from npred.kernels.callback import Failure, callback
 
+import npred
+from npred.formulas import called_functions
 from npred.formulas.tape import OPS, M, Tape
-from npred.kernels import compiler
+from npred.kernels import compiler, formula
 from npred.kernels.c_text import single
 from npred.kernels.formula import function, vector
-from npred.kernels.kernel import made, skeleton
+from npred.kernels.kernel import Shape, address, made, skeleton
+from npred.loop import signals
+from npred.loop.engine import LOOP, ON_A_CLOCK
 
 REALS = st.floats(0.1, 5) | st.floats(-5, -0.1) | st.just(0.0)
 CONDITIONS = ("lt", "le")
@@ -148,3 +158,124 @@ def test_sine_and_cosine_in_single_precision():
     x = np.random.default_rng(0).uniform(-50, 50, 10_000).astype(np.float32)
     wide = x.astype(float)
     np.testing.assert_allclose(turns(x, single), [np.sin(wide), np.cos(wide)], rtol=0, atol=4e-6)  # the last place of x
+
+
+SHIPPED = ["van_der_pol", "cart_pole", "unicycle", "pvtol", "chemostat", "planar_arm7", "xarm6"]
+
+
+@pytest.mark.parametrize("lanes", [1, 7, 8, 9, 70])
+def test_lanes_side_by_side_are_those_one_by_one(lanes):
+    plant, rng = npred.plant("planar_arm6"), np.random.default_rng(0)
+    assert called_functions.called(plant)
+    predictor = npred.predictor("rk4", plant, nx=11)
+    X, u = rng.uniform(-0.5, 0.5, (lanes, plant.n)), rng.uniform(-1, 1, (lanes, 11, plant.m))
+    D_hat = rng.uniform(0.05, 0.2, lanes)
+    one_by_one = np.stack([predictor(X[k], u[k], float(D_hat[k])) for k in range(lanes)])
+    np.testing.assert_allclose(predictor(X, u, D_hat), one_by_one, rtol=1e-10, atol=1e-12)
+
+
+def test_a_variable_that_outlives_a_call_is_an_array_and_another_is_not():
+    program = ["v0 = x0", "v1 = v0 * v0", "v2 = plant_f(v1, (2.0))", "v3 = v2[1]", "v4 = v0 + v3", "y[0] = v4"]
+    text = "\n".join(formula.grouped(program, {"f": 2}, lambda line: f"const double {line};"))
+    assert "double v0[GROUP];" in text and "double v2[2][GROUP];" in text and "double q0[2][GROUP];" in text
+    assert "    v0[l] = x0;" in text and "    const double v1 = v0[l] * v0[l];" in text
+    assert "    q0[0][l] = v1;" in text and "    const double v3 = v2[1][l];" in text
+    assert text.index("CALLED(plant_f, count, q0, v2);") < text.index("v3 =")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_loops_over_lanes_of_shipped_plants_are_vectorised(name, tmp_path: Path):
+    """In the prediction and in the simulated plant: gcc says so of the line with the loop over lanes."""
+    if "gcc" not in subprocess.run([*compiler.command(), "--version"], capture_output=True, text=True).stdout.lower():
+        pytest.skip("asks gcc")
+    plant = npred.plant(name)
+    family = npred.prediction.delays.problem_of(plant)
+    for kernel in (family.sweep(npred.prediction.methods.RK4.step), family.advance(npred.prediction.methods.RK4.step)):
+        (tmp_path / "kernel.c").write_text(kernel.unit)
+        flags = [*compiler.FLAGS, "-fopt-info-vec-optimized", "kernel.c", "-o", "kernel.so", "-lm"]
+        told = subprocess.run([*compiler.command(), *flags], cwd=tmp_path, check=True, capture_output=True, text=True)
+        done = {int(row) for row in re.findall(r"kernel\.c:(\d+):\d+: optimized: loop vectorized", told.stderr)}
+        calls = called_functions.called(plant)
+        inside = "plant_f_of" if calls else "STEP("
+        lines = kernel.unit.splitlines()
+        loops = [k for k, line in enumerate(lines, 1) if "LANES for" in line and any(
+            inside in near for near in (lines[k - 3 : k] if calls else lines[k - 1 : k + 3]))]  # fmt: skip
+        assert loops and done & set(loops), kernel.name
+
+
+STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion"]
+RUN = """
+import ctypes, sys
+from npred.kernels import compiler
+compiler.FLAGS = (*compiler.FLAGS, "-fsanitize=undefined", "-fno-sanitize-recover=all")
+import numpy as np
+import npred
+for name, options in {
+    "scalar": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayAdaptation(bounds=(0.1, 1.0))},
+    "van_der_pol": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)), "actuator": "history",
+                    "measurement": npred.Measurement(noise=0.01, absolute=[0.1, 0.0], bias=0.1, resolution=[0.0, 0.01],
+                                                     period=0.1, jitter=0.5, delay=0.04, drop=0.1)},
+    "unicycle": {"D": 0.5, "D_hat": 0.4, "actuator": "history"},
+    "slow_unicycle": {"D": lambda t: 0.5 + 0.1 * np.sin(9 * t), "D_hat": 0.5, "actuator": "history", "u0": "law",
+                      "timing": npred.Timing(jitter=0.4, lost=0.2, overrun=0.2, tells=True),
+                      "observer": npred.observers.EKF(npred.plant("slow_unicycle"), offset=True),
+                      "watchdog": npred.Watchdog(0.1, "zero", jump=0.1),
+                      "measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.5, delay=0.04, drop=0.3)},
+    "unicycle_time_delay": {},
+    "chemostat": {"D": lambda t: 0.5 + 0.1 * np.sin(t), "D_hat": 0.5, "disturbance": lambda t: [0.01]},
+}.items():
+    plant = npred.plant(name)
+    low, high = np.array([plant.box.get(state, (-0.1, 0.1)) for state in plant.states]).T
+    model = npred.guarded(npred.predictor("heun", plant, nx=21), 0.01)
+    X0 = low + (high - low) * np.linspace(0.4, 0.6, 3)[:, None]
+    loop = npred.simulate(plant, model, X0=X0, t_end=2.0, dt=0.02, **options)
+    assert loop.X.shape[0] == 3, name
+print("done")
+"""
+
+
+@needs_gcc
+@pytest.mark.parametrize("files", [LOOP, ON_A_CLOCK])
+def test_strict_compilers_find_nothing_in_the_loop(tmp_path, files):
+    declared = [*signals.declared(), signals.declared_events()]
+    text = "\n".join([skeleton("base.h"), *declared, *map(skeleton, files)])
+    (tmp_path / "loop.c").write_text(text)
+    find_nothing(tmp_path, "loop.c", *STRICT)
+
+
+@pytest.mark.slow
+@needs_gcc
+def test_no_step_of_a_loop_is_undefined(tmp_path, monkeypatch):
+    monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
+def called(function):
+    """What it leaves in U (m, lanes) for X (n, lanes) = 1000, and its failure."""
+    X, U, work, failure = np.full((2, 3), 1000.0), np.zeros((1, 3)), np.zeros(1), Failure()
+    run = callback(function, "X, &U", {}, failure)
+    run(Shape(nx=2, lanes=3, rows=0, n=2, m=1), address(X), address(U), address(work))
+    return U, failure
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_what_leaves_the_floats_is_no_cause_for_a_warning():
+    def explode(X, U):
+        U[0] = np.exp(X[0]) - np.exp(X[1])
+
+    U, failure = called(explode)
+    assert np.isnan(U).all() and U.shape == (1, 3)
+    failure.raised()  # nothing
+
+
+def test_what_it_raises_waits_for_the_loop():
+    def fail(X, U):
+        raise KeyError("a sensor")
+
+    _, failure = called(fail)
+    assert failure.flag.value == 1
+    with pytest.raises(KeyError, match="a sensor"):
+        failure.raised()
+    failure.raised()  # once

@@ -150,12 +150,8 @@ def test_a_reference_whose_slopes_the_inputs_do_not_reach_gets_one_gain():
         states, inputs = ("x1", "x2"), ("u",)
         box = {"x1": (-1.0, 1.0), "x2": (-1.0, 1.0)}
         period = 2 * np.pi
-
-        def f(x, u, t, p, M):
-            return [M.sin(x.x1) + x.x2, u.u]
-
-        def reference(t, p, M):
-            return [M.sin(t), M.cos(t) - M.sin(M.sin(t))]
+        f = lambda x, u, t, p, M: [M.sin(x.x1) + x.x2, u.u]
+        reference = lambda t, p, M: [M.sin(t), M.cos(t) - M.sin(M.sin(t))]
 
     plant = npred.plant(Swinging, kappa="lqr")
     gains = [plant.kappa_jacobian(plant.target(t), t) for t in (0.0, 1.0)]
@@ -166,9 +162,7 @@ class Wavy:
     """It rests wherever y = sin(a x): on a curve that comes near to a guess more than once."""
 
     states, inputs, parameters = ("x", "y"), ("u",), {"a": 1.0}
-
-    def f(x, u, t, p, M):
-        return [x.y - M.sin(p.a * x.x), -x.y + u.u]
+    f = lambda x, u, t, p, M: [x.y - M.sin(p.a * x.x), -x.y + u.u]
 
 
 def wavy(a: float, guess: np.ndarray, kappa: object) -> Plant:
@@ -184,10 +178,7 @@ def nearest_by_scan(a: float, guess: np.ndarray) -> float:
 def leads_to(plant: Plant, a: float, X0: np.ndarray) -> np.ndarray:
     """Where SciPy's loop of the law without delay ends, with f written here."""
     law, p = plant.law.function, SimpleNamespace(a=a)
-
-    def f(t, X):
-        return [X[1] - np.sin(a * X[0]), -X[1] + law(SimpleNamespace(x=X[0], y=X[1]), t, p, SCALARS)[0]]
-
+    f = lambda t, X: [X[1] - np.sin(a * X[0]), -X[1] + law(SimpleNamespace(x=X[0], y=X[1]), t, p, SCALARS)[0]]
     return solve_ivp(f, (0, 60), X0, "LSODA", rtol=1e-8, atol=1e-10).y[:, -1]
 
 
@@ -256,7 +247,7 @@ def test_the_nearest_point_of_rest_of_two_inputs_is_that_of_scipy():
 
     rng, grid = np.random.default_rng(1), np.stack(np.meshgrid(*2 * [np.linspace(-3, 3, 121)]), axis=-1).reshape(-1, 2)
     for guess in rng.uniform(-1.5, 1.5, (4, 4)):
-        distance = lambda z, guess=guess: np.linalg.norm((on_it(z) - guess) / [1, 2, 0.5, 1], axis=-1)  # noqa: E731
+        distance = lambda z, guess=guess: np.linalg.norm((on_it(z) - guess) / [1, 2, 0.5, 1], axis=-1)
         starts = grid[np.argsort(distance(grid))[:5]]
         nearest = min(minimize(distance, start, tol=1e-10).fun for start in starts)
         plant = plants.resolve(type("Surface", (Surface,), {"guess": tuple(guess)}), kappa="lqr")
@@ -275,9 +266,7 @@ def test_the_check_says_of_each_other_law_why_it_does_not_serve():
     class Weak:
         states, inputs = ("x", "y"), ("u",)
         box, guess, input_bounds = {"x": (-3.0, 3.0), "y": (-3.0, 3.0)}, (0.0, 0.0), ((-0.5, 0.5),)
-
-        def f(x, u, t, p, M):
-            return [x.x + M.sin(u.u) + x.y**2, x.x * x.y - x.y + u.u]
+        f = lambda x, u, t, p, M: [x.x + M.sin(u.u) + x.y**2, x.x * x.y - x.y + u.u]
 
     plant = npred.plant(Weak, kappa="lqr")
     answer = diagnosis.instead(plant, Case(plant, delay=0.1, nodes=21, samples=256))

@@ -18,31 +18,22 @@ class Swing:
 
     states, inputs = ("angle", "rate"), ("torque",)
     box = {"angle": (-3.0, 3.0), "rate": (-5.0, 5.0)}
-
-    def f(x, u, t, p, M):
-        return [x.rate, M.sin(x.angle) - 0.5 * x.rate + u.torque]
-
-    def kappa(x, t, p, M):
-        return [-M.sin(x.angle) - 2 * x.angle - 2 * x.rate]
-
-    def V(x, t, p, M):
-        return x.angle**2 + x.rate**2
+    f = lambda x, u, t, p, M: [x.rate, M.sin(x.angle) - 0.5 * x.rate + u.torque]
+    kappa = lambda x, t, p, M: [-M.sin(x.angle) - 2 * x.angle - 2 * x.rate]
+    V = lambda x, t, p, M: x.angle**2 + x.rate**2
 
 
 class Seen(Swing):
     """Of which the tilt is measured."""
 
     outputs = ("tilt",)
-
-    def output(x, t, p, M):
-        return [M.sin(x.angle) + 0.1 * M.sin(t)]
+    output = lambda x, t, p, M: [M.sin(x.angle) + 0.1 * M.sin(t)]
 
 
 class Rocked(Seen):
     """On a ship."""
 
-    def f(x, u, t, p, M):
-        return [x.rate, M.sin(x.angle) - 0.5 * x.rate + u.torque + 2 * M.cos(9 * t)]
+    f = lambda x, u, t, p, M: [x.rate, M.sin(x.angle) - 0.5 * x.rate + u.torque + 2 * M.cos(9 * t)]
 
 
 class Pair:
@@ -50,15 +41,9 @@ class Pair:
 
     states, inputs, delays = ("a", "b"), ("u", "v"), (0.5, 1.0)
     box = {"a": (-2.0, 2.0), "b": (-2.0, 2.0)}
-
-    def f(x, u, t, p, M):
-        return [u.u + 0.3 * x.b, u.v]
-
-    def kappa(x, t, p, M):
-        return [-x.a, -x.b]
-
-    def V(x, t, p, M):
-        return x.a**2 + x.b**2
+    f = lambda x, u, t, p, M: [u.u + 0.3 * x.b, u.v]
+    kappa = lambda x, t, p, M: [-x.a, -x.b]
+    V = lambda x, t, p, M: x.a**2 + x.b**2
 
 
 SWING, SEEN, PAIR, ROCKED = (Plant(kind.__name__.lower(), kind) for kind in (Swing, Seen, Pair, Rocked))
@@ -194,7 +179,7 @@ def test_ideal_timing_is_the_plain_loop(D, law):
 def test_a_delay_that_jumps_is_the_plain_loops():
     """Where it grows, the plant gets older commands again. In the step of the jump itself the two differ a little."""
     for before, after in ((0.2, 0.3), (0.3, 0.2)):
-        D = lambda t, a=before, b=after: a if t < 1.0 else b  # noqa: E731
+        D = lambda t, a=before, b=after: a if t < 1.0 else b
         plain, timed = (
             simulated(SWING, [0.5, 0.2], D=D, **more)
             for more in ({}, {"timing": npred.Timing(), "outlier_limit": None})

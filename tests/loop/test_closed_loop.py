@@ -36,15 +36,9 @@ class Escape:
     """X' = X² leaves the numbers at t = 1 / X(0)."""
 
     states, inputs, guess = ("X",), ("U",), (0.0,)
-
-    def f(x, u, t, p, M):
-        return [x.X**2 + 0 * u.U]
-
-    def kappa(x, t, p, M):
-        return [0 * x.X]
-
-    def V(x, t, p, M):
-        return x.X**2
+    f = lambda x, u, t, p, M: [x.X**2 + 0 * u.U]
+    kappa = lambda x, t, p, M: [0 * x.X]
+    V = lambda x, t, p, M: x.X**2
 
 
 @pytest.fixture(scope="module")
@@ -191,12 +185,8 @@ class Waves:
     """Each state is the integral of an input that does not hang on it, and of a wave."""
 
     states, inputs = ("a", "b"), ("u", "v")
-
-    def f(x, u, t, p, M):
-        return [u.u + M.cos(5 * t), u.v + M.cos(3 * t)]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t), M.cos(2 * t)]
+    f = lambda x, u, t, p, M: [u.u + M.cos(5 * t), u.v + M.cos(3 * t)]
+    kappa = lambda x, t, p, M: [M.sin(3 * t), M.cos(2 * t)]
 
 
 @pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])
@@ -231,12 +221,8 @@ class EscapeOfTheSecond:
     """The same behind a state that stays."""
 
     states, inputs, guess = ("still", "X"), ("U",), (0.0, 0.0)
-
-    def f(x, u, t, p, M):
-        return [u.U - x.still, x.X**2]
-
-    def kappa(x, t, p, M):
-        return [-x.still]
+    f = lambda x, u, t, p, M: [u.U - x.still, x.X**2]
+    kappa = lambda x, t, p, M: [-x.still]
 
 
 def test_a_loop_is_lost_with_any_of_its_states():
@@ -275,12 +261,8 @@ class Pumped:
     """Two tanks at rest where u = 1 and v = 3."""
 
     states, inputs, guess = ("a", "b"), ("u", "v"), (0.0, 0.0)
-
-    def f(x, u, t, p, M):
-        return [u.u - 1 - x.a, u.v - 3 - x.b]
-
-    def kappa(x, t, p, M):
-        return [1 - x.a, 3 - x.b]
+    f = lambda x, u, t, p, M: [u.u - 1 - x.a, u.v - 3 - x.b]
+    kappa = lambda x, t, p, M: [1 - x.a, 3 - x.b]
 
 
 @pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])

@@ -24,15 +24,9 @@ class Cube:
     """x' = x³ + u, whose open loop escapes in finite time."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [x.x**3 + u.u]
-
-    def kappa(x, t, p, M):
-        return [-(x.x**3) - x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
+    f = lambda x, u, t, p, M: [x.x**3 + u.u]
+    kappa = lambda x, t, p, M: [-(x.x**3) - x.x]
+    V = lambda x, t, p, M: x.x**2
 
 
 CUBE, ARM = Plant("cube", Cube), npred.plant("planar_arm2")
@@ -194,15 +188,9 @@ class Hot:
     """x' = exp(x), which leaves the floats, in NumPy, which warns of it."""
 
     traced, states, inputs = False, ("x",), ("u",)
-
-    def f(X, u, t, p):
-        return np.exp(X) + u
-
-    def kappa(X, t, p):
-        return -np.exp(X) - X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: np.exp(X) + u
+    kappa = lambda X, t, p: -np.exp(X) - X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 @pytest.mark.filterwarnings("error")
@@ -446,12 +434,8 @@ class Still:
     """Nothing moves it, so that what it was is what is expected."""
 
     states, inputs, box = ("x", "y"), ("u",), {"x": (-1.0, 1.0), "y": (-2.0, 4.0)}
-
-    def f(x, u, t, p, M):
-        return [u.u, 0 * x.y]
-
-    def kappa(x, t, p, M):
-        return [0 * x.x]
+    f = lambda x, u, t, p, M: [u.u, 0 * x.y]
+    kappa = lambda x, t, p, M: [0 * x.x]
 
 
 @pytest.mark.parametrize("gate", [1.0, 0.5])
@@ -475,12 +459,8 @@ class Waves(Still):
     """The first state follows a wave and an input of half the other one's delay."""
 
     inputs, delays = ("u", "v"), (0.5, 1.0)
-
-    def f(x, u, t, p, M):
-        return [u.u + 3 * M.cos(9 * t), u.v]
-
-    def kappa(x, t, p, M):
-        return [M.sin(2 * t), M.cos(3 * t)]
+    f = lambda x, u, t, p, M: [u.u + 3 * M.cos(9 * t), u.v]
+    kappa = lambda x, t, p, M: [M.sin(2 * t), M.cos(3 * t)]
 
 
 def test_what_is_expected_is_the_state_a_step_later():
@@ -507,15 +487,9 @@ class Stretched(Still):
     """x' = u, whose delay is the state in units of 0.3 s."""
 
     states, box = ("x",), {"x": (-1.0, 3.0)}
-
-    def f(x, u, t, p, M):
-        return [u.u]
-
-    def kappa(x, t, p, M):
-        return [M.sin(2 * t)]
-
-    def delay(x, t, p, M):
-        return 0.3 * x.x
+    f = lambda x, u, t, p, M: [u.u]
+    kappa = lambda x, t, p, M: [M.sin(2 * t)]
+    delay = lambda x, t, p, M: 0.3 * x.x
 
 
 @pytest.mark.parametrize(("jump", "refused"), [(1.1, 8), (9.7, 9), (-1.6, 8)])
@@ -564,9 +538,7 @@ class Bounded(Cube):
     """Its V is not finite where X is huge, and U is."""
 
     input_bounds = ((-1.0, 1.0),)
-
-    def f(x, u, t, p, M):
-        return [u.u - x.x]
+    f = lambda x, u, t, p, M: [u.u - x.x]
 
 
 def test_an_estimate_that_would_not_be_finite_refuses_the_step():

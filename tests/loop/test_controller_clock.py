@@ -21,15 +21,9 @@ class Motor:
 
     states, inputs = ("angle", "speed"), ("i",)
     box, input_bounds = {"angle": (-3.0, 3.0), "speed": (-5.0, 5.0)}, ((-20.0, 20.0),)
-
-    def f(x, u, t, p, M):
-        return [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i]
-
-    def kappa(x, t, p, M):
-        return [-M.sin(x.angle) - 2 * x.angle - 2 * x.speed]
-
-    def V(x, t, p, M):
-        return x.angle**2 + x.speed**2
+    f = lambda x, u, t, p, M: [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i]
+    kappa = lambda x, t, p, M: [-M.sin(x.angle) - 2 * x.angle - 2 * x.speed]
+    V = lambda x, t, p, M: x.angle**2 + x.speed**2
 
 
 MOTOR = Plant("motor", Motor)
@@ -53,7 +47,7 @@ class Truth:
         times = [s + self.D for s, _ in self.sent if self.t < s + self.D < t]
         for end in [*times, t]:
             U = max((s, u) for s, u in self.sent if s + self.D <= self.t + 1e-12)[1]
-            f = lambda s, x, U=U: self.plant.f(x, np.array([U]), s)  # noqa: E731
+            f = lambda s, x, U=U: self.plant.f(x, np.array([U]), s)
             if end > self.t:
                 self.X = solve_ivp(f, (self.t, end), self.X, rtol=1e-10, atol=1e-12).y[:, -1]
             self.t = end
@@ -247,8 +241,7 @@ def test_the_watchdog_hands_over_as_declared_and_returns_without_a_jump(then):
 class Stretched(Motor):
     """Its delay is that of its angle."""
 
-    def delay(x, t, p, M):
-        return 0.1 + 0.01 * x.angle
+    delay = lambda x, t, p, M: 0.1 + 0.01 * x.angle
 
 
 @pytest.mark.parametrize("kind", [Motor, Stretched])
@@ -395,12 +388,8 @@ class Rocked(Motor):
     """The motor on a ship, seen by its angle to the horizon."""
 
     outputs = ("to_horizon",)
-
-    def f(x, u, t, p, M):
-        return [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i + 3.0 * M.cos(9.0 * t)]
-
-    def output(x, t, p, M):
-        return [x.angle + M.sin(5.0 * t)]
+    f = lambda x, u, t, p, M: [x.speed, M.sin(x.angle) - 0.5 * x.speed + u.i + 3.0 * M.cos(9.0 * t)]
+    output = lambda x, t, p, M: [x.angle + M.sin(5.0 * t)]
 
 
 ROCKED = Plant("rocked", Rocked)
@@ -495,12 +484,8 @@ class Winch(Motor):
 
     states, inputs, parameters = ("angle", "speed"), ("i", "j"), {"rescue": 1.0}
     input_bounds = ((-20.0, 20.0), (-2.0, 2.0))
-
-    def f(x, u, t, p, M):
-        return [x.speed + u.j, u.i]
-
-    def kappa(x, t, p, M):
-        return [-x.angle - x.speed, -0.5 * x.angle]
+    f = lambda x, u, t, p, M: [x.speed + u.j, u.i]
+    kappa = lambda x, t, p, M: [-x.angle - x.speed, -0.5 * x.angle]
 
 
 class CalledWinch:
@@ -508,12 +493,8 @@ class CalledWinch:
 
     traced = False
     states, inputs, parameters, input_bounds = Winch.states, Winch.inputs, Winch.parameters, Winch.input_bounds
-
-    def f(X, u, t, p):
-        return np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
-
-    def kappa(X, t, p):
-        return np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
+    f = lambda X, u, t, p: np.stack([X[:, 1] + u[:, 1], u[:, 0]], axis=1)
+    kappa = lambda X, t, p: np.stack([-X[:, 0] - X[:, 1], -0.5 * X[:, 0]], axis=1)
 
 
 def winch(then, jump=None, kind=Winch):

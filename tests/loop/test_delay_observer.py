@@ -133,16 +133,13 @@ class CalledFollower:
 
     traced = False
     states, inputs, parameters, box = Follower.states, Follower.inputs, Follower.parameters, Follower.box
-
-    def f(X, u, t, p):
-        return p.a * X + u
+    f = lambda X, u, t, p: p.a * X + u
 
     def kappa(X, t, p):
         r, slope = p.A * np.sin(p.w * t), p.A * p.w * np.cos(p.w * t)
         return (slope - p.a * X[:, 0] - p.c * (X[:, 0] - r))[:, None]
 
-    def V(X, t, p):
-        return (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+    V = lambda X, t, p: (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
 
 
 SPARSE = Measurement(noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2)  # each loop has samples of its own
@@ -215,12 +212,8 @@ class Square:
     """X' = X² + U leaves the finite numbers from X(0) = 5 before the first command acts."""
 
     states, inputs, guess, box = ("X",), ("U",), (0.0,), {"X": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        return [x.X**2 + u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.X - x.X**2]
+    f = lambda x, u, t, p, M: [x.X**2 + u.U]
+    kappa = lambda x, t, p, M: [-x.X - x.X**2]
 
 
 def test_a_loop_that_is_lost_stops_no_other_estimate():
@@ -275,12 +268,8 @@ class Waved:
     """X' = U - X + 3 cos 9t."""
 
     states, inputs = ("X",), ("U",)
-
-    def f(x, u, t, p, M):
-        return [u.U - x.X + 3 * M.cos(9 * t)]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t) - x.X]
+    f = lambda x, u, t, p, M: [u.U - x.X + 3 * M.cos(9 * t)]
+    kappa = lambda x, t, p, M: [M.sin(3 * t) - x.X]
 
 
 def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():

@@ -20,15 +20,9 @@ class Cart:
 
     states, inputs = ("x", "v"), ("u",)
     box, input_bounds = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}, ((-5.0, 5.0),)
-
-    def f(x, u, t, p, M):
-        return [x.v, u.u]
-
-    def kappa(x, t, p, M):
-        return [-4 * (x.x - 0.95) - 1.2 * x.v]
-
-    def safe(x, t, p, M):
-        return [1.0 - x.x, 1.0 + x.x]
+    f = lambda x, u, t, p, M: [x.v, u.u]
+    kappa = lambda x, t, p, M: [-4 * (x.x - 0.95) - 1.2 * x.v]
+    safe = lambda x, t, p, M: [1.0 - x.x, 1.0 + x.x]
 
 
 class Plane:
@@ -36,15 +30,9 @@ class Plane:
 
     states, inputs = ("x", "y"), ("u", "v")
     box, input_bounds = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ((-1.0, 2.0), (-3.0, 1.0))
-
-    def f(x, u, t, p, M):
-        return [0.3 * x.y + u.u, -0.2 * x.x + u.v + 0.4 * u.u]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * x.y) - x.x, M.cos(2 * x.x) - x.y]
-
-    def safe(x, t, p, M):
-        return [1.0 + 0.2 * M.sin(t) - x.x, x.x * x.x + x.y * x.y - 0.25, 1.5 - x.y]
+    f = lambda x, u, t, p, M: [0.3 * x.y + u.u, -0.2 * x.x + u.v + 0.4 * u.u]
+    kappa = lambda x, t, p, M: [M.sin(3 * x.y) - x.x, M.cos(2 * x.x) - x.y]
+    safe = lambda x, t, p, M: [1.0 + 0.2 * M.sin(t) - x.x, x.x * x.x + x.y * x.y - 0.25, 1.5 - x.y]
 
 
 CART, PLANE = Plant("cart", Cart), Plant("plane", Plane)
@@ -66,15 +54,9 @@ class Valve:
 
     states, inputs = ("q",), ("u",)
     box, input_bounds = {"q": (0.0, 2.0)}, ((-1.0, 1.0),)
-
-    def f(x, u, t, p, M):
-        return [x.q * u.u]
-
-    def kappa(x, t, p, M):
-        return [0.5 - x.q]
-
-    def safe(x, t, p, M):
-        return [x.q - 0.2]
+    f = lambda x, u, t, p, M: [x.q * u.u]
+    kappa = lambda x, t, p, M: [0.5 - x.q]
+    safe = lambda x, t, p, M: [x.q - 0.2]
 
 
 def test_a_limit_that_no_input_moves_is_unkept_and_changes_nothing():
@@ -174,9 +156,7 @@ def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
 
 class Tilted(Cart):
     parameters = {"tilt": 0.0}
-
-    def safe(x, t, p, M):
-        return [1.0 - x.x - p.tilt * x.v, 1.0 + x.x + (x.v - x.v)]
+    safe = lambda x, t, p, M: [1.0 - x.x - p.tilt * x.v, 1.0 + x.x + (x.v - x.v)]
 
 
 def test_the_relative_degree_is_that_of_the_values_on_the_box():
@@ -243,15 +223,9 @@ def test_conditions_are_of_second_order_in_the_step_where_time_moves_the_plant()
 
     class Shaken:
         states, inputs, box, input_bounds = ("x",), ("u",), {"x": (-1.0, 1.0)}, ((-9.0, 9.0),)
-
-        def f(x, u, t, p, M):
-            return [u.u + 2 * M.sin(6 * t)]
-
-        def kappa(x, t, p, M):
-            return [0 * x.x]
-
-        def safe(x, t, p, M):
-            return [1.0 + 0.3 * M.sin(4 * t) - x.x]
+        f = lambda x, u, t, p, M: [u.u + 2 * M.sin(6 * t)]
+        kappa = lambda x, t, p, M: [0 * x.x]
+        safe = lambda x, t, p, M: [1.0 + 0.3 * M.sin(4 * t) - x.x]
 
     plant, alpha, steps = Plant("shaken", Shaken), 2.0, np.array([0.08, 0.04, 0.02, 0.01])
     x, t0, ends = np.linspace(0.2, 1.0, 40), 0.35, []
@@ -313,13 +287,11 @@ def test_a_controller_filters_as_the_simulated_loop(delay):
 
 
 class Bent(Cart):
-    def f(x, u, t, p, M):
-        return [x.v, u.u + u.u * u.u * u.u]
+    f = lambda x, u, t, p, M: [x.v, u.u + u.u * u.u * u.u]
 
 
 class Still(Cart):
-    def safe(x, t, p, M):
-        return [1.0]
+    safe = lambda x, t, p, M: [1.0]
 
 
 class Free(Cart):
@@ -357,8 +329,7 @@ def test_limits_are_kept_on_a_real_clock():
 class Shutter(Cart):
     """The end of the track comes and goes."""
 
-    def safe(x, t, p, M):
-        return [1.0 + 0.2 * M.sin(2 * t) - x.x, 1.0 + x.x]
+    safe = lambda x, t, p, M: [1.0 + 0.2 * M.sin(2 * t) - x.x, 1.0 + x.x]
 
 
 SHUTTER = Plant("shutter", Shutter)

@@ -155,15 +155,9 @@ class Settles:
     """x' = u - x, whose commands come 0.5 + 0.1 sin(x) s late."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [u.u - x.x]
-
-    def kappa(x, t, p, M):
-        return [0.5 * x.x + 0.25]
-
-    def delay(x, t, p, M):
-        return 0.5 + 0.1 * M.sin(x.x)
+    f = lambda x, u, t, p, M: [u.u - x.x]
+    kappa = lambda x, t, p, M: [0.5 * x.x + 0.25]
+    delay = lambda x, t, p, M: 0.5 + 0.1 * M.sin(x.x)
 
 
 def test_the_error_in_the_loop_of_a_declared_constant_is_that_of_the_constant():
@@ -217,12 +211,8 @@ def test_the_relative_error_is_over_the_distance_of_state_and_history():
 def test_gain_along_a_reference_counts_an_input_that_acts_otherwise_in_time():
     """X' = (2 + sin t) U with (X - r)' = -(X - r) + (2 + sin t) e: G = 2 + (sin t - cos t) / 2 beside what decays."""
 
-    def f(x, u, t, p, M):
-        return [(2 + M.sin(t)) * u.U]
-
-    def kappa(x, t, p, M):
-        return [(M.cos(t) - x.X + M.sin(t)) / (2 + M.sin(t))]
-
+    f = lambda x, u, t, p, M: [(2 + M.sin(t)) * u.U]
+    kappa = lambda x, t, p, M: [(M.cos(t) - x.X + M.sin(t)) / (2 + M.sin(t))]
     parts = {"f": f, "kappa": kappa, "V": lambda x, t, p, M: 0.0, "reference": lambda t, p, M: [M.sin(t)]}
     fields = {name: staticmethod(part) for name, part in parts.items()} | {"parameters": {}}
     plant, t = Plant("Valve", type("Valve", (Follower,), fields)), np.linspace(18.0, 20.0, 401)

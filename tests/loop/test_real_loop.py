@@ -17,15 +17,9 @@ class Driven:
     """x' = -a x + u with kappa = sin(t): the input is known, whatever the state is."""
 
     states, inputs, parameters, period = ("x",), ("u",), {"a": 1.0}, 2 * np.pi
-
-    def f(x, u, t, p, M):
-        return [-p.a * x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [M.sin(t) + 0 * x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
+    f = lambda x, u, t, p, M: [-p.a * x.x + u.u]
+    kappa = lambda x, t, p, M: [M.sin(t) + 0 * x.x]
+    V = lambda x, t, p, M: x.x**2
 
 
 DRIVEN = Plant("driven", Driven)
@@ -62,12 +56,8 @@ class Carried:
     """Two integrals of what arrives, and nothing is sent."""
 
     states, inputs = ("a", "b"), ("u", "v")
-
-    def f(x, u, t, p, M):
-        return [u.u, u.v]
-
-    def kappa(x, t, p, M):
-        return [0 * x.a, 0 * x.b]
+    f = lambda x, u, t, p, M: [u.u, u.v]
+    kappa = lambda x, t, p, M: [0 * x.a, 0 * x.b]
 
 
 def test_a_disturbance_is_that_of_the_middle_of_each_step_for_the_whole_step():
@@ -100,8 +90,7 @@ def test_a_disturbance_may_differ_from_loop_to_loop(loops):
 class Sent(Carried):
     """The same, with commands of time alone."""
 
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t), M.cos(2 * t)]
+    kappa = lambda x, t, p, M: [M.sin(3 * t), M.cos(2 * t)]
 
 
 @pytest.mark.parametrize("delays", [(1.0, 1.0), (0.37, 1.0)])
@@ -127,15 +116,9 @@ class Late:
     """x' = u, which takes 1 + k x seconds to arrive."""
 
     states, inputs, parameters = ("x",), ("u",), {"k": 0.5}
-
-    def f(x, u, t, p, M):
-        return [u.u]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
-
-    def delay(x, t, p, M):
-        return 1 + p.k * x.x
+    f = lambda x, u, t, p, M: [u.u]
+    kappa = lambda x, t, p, M: [-x.x]
+    delay = lambda x, t, p, M: 1 + p.k * x.x
 
 
 def test_commands_arrive_by_the_delay_of_the_plant_and_not_of_its_model():

@@ -92,12 +92,8 @@ class Cart:
 
     states, inputs = ("p",), ("speed",)
     box, input_bounds = {"p": (-1.0, 1.0)}, ((-1.0, 1.0),)
-
-    def f(x, u, t, p, M):
-        return [u.speed]
-
-    def kappa(x, t, p, M):
-        return [-x.p]
+    f = lambda x, u, t, p, M: [u.speed]
+    kappa = lambda x, t, p, M: [-x.p]
 
 
 def test_a_plant_far_from_the_box_is_believed_in_the_end():
@@ -139,7 +135,7 @@ def test_an_observer_of_the_delay_begins_anew_where_its_errors_are_not_finite(va
 @pytest.mark.parametrize("value", [1e300, 5e307])
 def test_an_absurd_state_leaves_no_rate_of_the_delay_behind(value):
     plant, law = npred.plant("scalar"), npred.L1Adaptation(0.01, bounds=(0.1, 0.6))
-    make = lambda: npred.controller(  # noqa: E731
+    make = lambda: npred.controller(
         plant, npred.predictor("heun", plant, nx=21), law, DT, D_hat=0.3, actuator="history", outlier_limit=None
     )
     one = make()

@@ -21,12 +21,8 @@ class Escape:
     """X' = X² leaves the numbers at t = 1 / X(0); its input has the name of its state."""
 
     states, inputs, guess = ("X",), ("X",), (0.0,)
-
-    def f(x, u, t, p, M):
-        return [x.X**2 + 0 * u.X]
-
-    def kappa(x, t, p, M):
-        return [0 * x.X]
+    f = lambda x, u, t, p, M: [x.X**2 + 0 * u.X]
+    kappa = lambda x, t, p, M: [0 * x.X]
 
 
 def loops(**change):
@@ -123,12 +119,8 @@ class Tank:
 
     states, inputs, guess = ("h_a", "T"), ("q",), (1.0, 1.0)
     labels, units, time_unit = {"h_a": "level h_{a}"}, {"h_a": "m", "q": "m^3/min"}, "min"
-
-    def f(x, u, t, p, M):
-        return [u.q - x.h_a, -x.T]
-
-    def kappa(x, t, p, M):
-        return [2 - x.h_a]
+    f = lambda x, u, t, p, M: [u.q - x.h_a, -x.T]
+    kappa = lambda x, t, p, M: [2 - x.h_a]
 
 
 def test_a_plot_has_the_labels_and_units_that_the_plant_declares():

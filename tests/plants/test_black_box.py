@@ -309,15 +309,9 @@ class Explosive:
 
     traced = False
     states, inputs, box = ("x",), ("u",), {"x": (-1.0, 1.0)}
-
-    def f(X, u, t, p):
-        return X**3 + u
-
-    def kappa(X, t, p):
-        return -(X**3) - X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: X**3 + u
+    kappa = lambda X, t, p: -(X**3) - X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -74,12 +74,8 @@ def test_what_the_plant_does_not_accept_is_refused(u0, words):
 def test_an_equilibrium_is_needed_where_one_is_asked_for():
     class Drifts:
         states, inputs, box = ("x",), ("u",), {"x": (0.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [u.u]
-
-        def kappa(x, t, p, M):
-            return [M.sin(t) - x.x]
+        f = lambda x, u, t, p, M: [u.u]
+        kappa = lambda x, t, p, M: [M.sin(t) - x.x]
 
     with pytest.raises(ConfigError, match=r"u0: expected an equilibrium to take it from, got: .*or give u0 as numbers"):
         inputs.before(Plant("drifts", Drifts), "equilibrium", np.array([[-1.0, 1.0]]), np.zeros((1, 1)))

@@ -261,27 +261,17 @@ class Lag:
     """A class of this module, without V, which Python can import."""
 
     states, inputs, parameters = ("x",), ("u",), {"a": 1.0}
-
-    def f(x, u, t, p, M):
-        return [u.u - p.a * x.x]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
+    f = lambda x, u, t, p, M: [u.u - p.a * x.x]
+    kappa = lambda x, t, p, M: [-x.x]
 
 
 class Called(Lag):
     """The same behind functions of arrays."""
 
     traced = False
-
-    def f(X, u, t, p):
-        return u - p.a * X
-
-    def kappa(X, t, p):
-        return -X
-
-    def V(X, t, p):
-        return X[:, 0] ** 2
+    f = lambda X, u, t, p: u - p.a * X
+    kappa = lambda X, t, p: -X
+    V = lambda X, t, p: X[:, 0] ** 2
 
 
 def pickled(plant):
@@ -351,9 +341,7 @@ def test_plants_say_what_they_are():
 def test_a_class_is_a_plant_with_parameters_and_a_law():
     class Lag:
         states, inputs, parameters, box = ("x",), ("u",), {"rate": 1.0}, {"x": (-1.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [-p.rate * x.x + u.u]
+        f = lambda x, u, t, p, M: [-p.rate * x.x + u.u]
 
     lag = npred.plant(Lag, kappa="lqr", rate=2.0)
     assert (lag.name, lag.parameters["rate"]) == ("Lag", 2.0)

@@ -21,30 +21,19 @@ class Vat:
 
     states, inputs, time_unit = ("h",), ("q",), "h"
     box, guess = {"h": (0.5, 1.5)}, (1.0,)
-
-    def f(x, u, t, p, M):
-        return [u.q - x.h]
-
-    def kappa(x, t, p, M):
-        return [2.0 - x.h]
-
-    def V(x, t, p, M):
-        return (x.h - 1.0) ** 2
+    f = lambda x, u, t, p, M: [u.q - x.h]
+    kappa = lambda x, t, p, M: [2.0 - x.h]
+    V = lambda x, t, p, M: (x.h - 1.0) ** 2
 
 
 class LateVat(Vat):
-    def delay(x, t, p, M):
-        return 0.4 + 0.2 * x.h
+    delay = lambda x, t, p, M: 0.4 + 0.2 * x.h
 
 
 class ClockedVat(Vat):
     period = 24.0
-
-    def kappa(x, t, p, M):
-        return [2.0 - x.h + 0.1 * M.sin(t)]
-
-    def reference(t, p, M):
-        return [1.0]
+    kappa = lambda x, t, p, M: [2.0 - x.h + 0.1 * M.sin(t)]
+    reference = lambda t, p, M: [1.0]
 
 
 HOURS = {"vat": Vat, "late": LateVat, "clocked": ClockedVat}

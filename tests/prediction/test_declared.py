@@ -19,36 +19,20 @@ class Decay:
     """X' = -X with D = 0.6 + 0.3 tanh X: P = X exp(-D(P))."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [-x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [0.0 * x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
-
-    def delay(x, t, p, M):
-        return 0.6 + 0.3 * M.tanh(x.x)
+    f = lambda x, u, t, p, M: [-x.x + u.u]
+    kappa = lambda x, t, p, M: [0.0 * x.x]
+    V = lambda x, t, p, M: x.x**2
+    delay = lambda x, t, p, M: 0.6 + 0.3 * M.tanh(x.x)
 
 
 class Clock:
     """s' = 1 with D(t) = (1 + t) / (1 + 2 t): its prediction is the time at which the command acts."""
 
     states, inputs = ("s",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [1 + 0 * u.u]
-
-    def kappa(x, t, p, M):
-        return [0.0 * x.s]
-
-    def V(x, t, p, M):
-        return x.s**2
-
-    def delay(x, t, p, M):
-        return (1 + t) / (1 + 2 * t)
+    f = lambda x, u, t, p, M: [1 + 0 * u.u]
+    kappa = lambda x, t, p, M: [0.0 * x.s]
+    V = lambda x, t, p, M: x.s**2
+    delay = lambda x, t, p, M: (1 + t) / (1 + 2 * t)
 
 
 UNICYCLE, IN_TIME = with_delay(lambda x, t, p, M: x.x**2 + x.y**2), plants.resolve("unicycle_time_delay")
@@ -157,18 +141,10 @@ class Jump:
     """x' = -x whose delay jumps from 0.1 s to 50 s, beyond the history of commands: no rate says so beforehand."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [-x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [0 * x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
-
-    def delay(x, t, p, M):
-        return M.where(x.x < 1, 50.0, 0.1)
+    f = lambda x, u, t, p, M: [-x.x + u.u]
+    kappa = lambda x, t, p, M: [0 * x.x]
+    V = lambda x, t, p, M: x.x**2
+    delay = lambda x, t, p, M: M.where(x.x < 1, 50.0, 0.1)
 
 
 def test_a_delay_that_jumps_beyond_the_history_ends_the_loop():
@@ -220,18 +196,10 @@ class Pulsing:
     """x' = u - x, and a delay of time whose rate goes past 1: 1 - D_t = 1 + 1.125 sin 1.5 t."""
 
     states, inputs = ("x",), ("u",)
-
-    def f(x, u, t, p, M):
-        return [u.u - x.x]
-
-    def kappa(x, t, p, M):
-        return [-x.x]
-
-    def V(x, t, p, M):
-        return x.x**2
-
-    def delay(x, t, p, M):
-        return 0.8 + 0.75 * M.cos(1.5 * t)
+    f = lambda x, u, t, p, M: [u.u - x.x]
+    kappa = lambda x, t, p, M: [-x.x]
+    V = lambda x, t, p, M: x.x**2
+    delay = lambda x, t, p, M: 0.8 + 0.75 * M.cos(1.5 * t)
 
 
 @pytest.mark.parametrize("guarded", [False, True])
@@ -265,12 +233,8 @@ class Chased:
     """x' = u and D = 1 + x: with u = 1 commands never arrive, 1 - D_X f = 0."""
 
     states, inputs, delay = Clock.states, Clock.inputs, lambda x, t, p, M: 1 + x.s
-
-    def f(x, u, t, p, M):
-        return [u.u]
-
-    def kappa(x, t, p, M):
-        return [0 * x.s]
+    f = lambda x, u, t, p, M: [u.u]
+    kappa = lambda x, t, p, M: [0 * x.s]
 
 
 def test_commands_that_never_arrive_end_a_prediction_too():

@@ -70,17 +70,12 @@ class Swing:
     """A pendulum whose law knows the time; its torque is 0.3 s late."""
 
     states, inputs, box = ("angle", "speed"), ("torque",), {"angle": (-1.0, 1.0), "speed": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        return [x.speed, 4 * M.sin(x.angle) + u.torque]
-
-    def kappa(x, t, p, M):
-        return [-4 * M.sin(x.angle) - 2 * x.angle - 2 * x.speed + 0.1 * M.cos(t)]
+    f = lambda x, u, t, p, M: [x.speed, 4 * M.sin(x.angle) + u.torque]
+    kappa = lambda x, t, p, M: [-4 * M.sin(x.angle) - 2 * x.angle - 2 * x.speed + 0.1 * M.cos(t)]
 
 
 class LateSwing(Swing):
-    def delay(x, t, p, M):
-        return 0.3
+    delay = lambda x, t, p, M: 0.3
 
 
 SENSORS = npred.Measurement(noise=0.01, absolute=0.01, period=0.05, delay=0.03, drop=0.2, seed=5)

@@ -93,12 +93,8 @@ class Escape:
     """X' = X² leaves the numbers at t = 1 / X(0)."""
 
     states, inputs, guess = ("X",), ("U",), (0.0,)
-
-    def f(x, u, t, p, M):
-        return [x.X**2 + 0 * u.U]
-
-    def kappa(x, t, p, M):
-        return [-x.X]
+    f = lambda x, u, t, p, M: [x.X**2 + 0 * u.U]
+    kappa = lambda x, t, p, M: [-x.X]
 
 
 def test_a_loop_that_is_lost_falls_back_no_more():
@@ -351,12 +347,8 @@ class Crossed:
     """Two states and two inputs, of which the second one's law is the steeper."""
 
     states, inputs, guess = ("a", "b"), ("v", "w"), (0.0, 0.0)
-
-    def f(x, u, t, p, M):
-        return [x.b - x.a**3 + u.v, u.w - x.a * x.b]
-
-    def kappa(x, t, p, M):
-        return [3 * x.a + x.b, -x.a - 2 * x.b]
+    f = lambda x, u, t, p, M: [x.b - x.a**3 + u.v, u.w - x.a * x.b]
+    kappa = lambda x, t, p, M: [3 * x.a + x.b, -x.a - 2 * x.b]
 
 
 def shadows(plant, X, u, D_hat, count, K=4):

@@ -36,8 +36,7 @@ def plant(delays=None, inputs=2):
         def kappa(x, t, p, M):
             return [-2 * x.a - x.b + 0.3 * M.sin(2 * t), -x.b - x.c - x.a * x.b, -x.c * x.c + M.cos(t)][:inputs]
 
-        def V(x, t, p, M):
-            return x.a**2 + x.b**2 + x.c**2
+        V = lambda x, t, p, M: x.a**2 + x.b**2 + x.c**2
 
     Chain.inputs = ("u1", "u2", "u3")[:inputs]
     if delays:
@@ -49,15 +48,9 @@ class Integrators:
     """Each state is the integral of what arrives of an input that does not hang on it."""
 
     states, inputs, delays = ("a", "b"), ("u", "v"), (0.37, 1.0)
-
-    def f(x, u, t, p, M):
-        return [u.u, u.v]
-
-    def kappa(x, t, p, M):
-        return [M.sin(3 * t), M.cos(2 * t)]
-
-    def V(x, t, p, M):
-        return 0.0 * x.a
+    f = lambda x, u, t, p, M: [u.u, u.v]
+    kappa = lambda x, t, p, M: [M.sin(3 * t), M.cos(2 * t)]
+    V = lambda x, t, p, M: 0.0 * x.a
 
 
 INTEGRATORS = Plant("integrators", Integrators)
@@ -102,10 +95,7 @@ def test_an_input_past_its_history_is_the_law_and_not_zero():
     """Held at 0 there, P would be off by a tenth and more."""
     declared, X = plant((0.25, 0.6)), [0.5, -0.3, 0.8]
     wanted = exact(declared, X, u, 0.0, [1.0])[0]
-
-    def silent(x, P):
-        return D_HAT * declared.f(P, np.array([u(2.4 * x)[0] * (2.4 * x <= 1), u(x)[1]]))
-
+    silent = lambda x, P: D_HAT * declared.f(P, np.array([u(2.4 * x)[0] * (2.4 * x <= 1), u(x)[1]]))
     held = solve_ivp(silent, (0, 1), X, rtol=1e-6)
     found = RK4(declared, 101)(X, u(grid.nodes(101)), D_HAT)[-1]
     np.testing.assert_allclose(found, wanted, atol=1e-4)

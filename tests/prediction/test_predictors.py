@@ -1,28 +1,34 @@
-"""Numerical predictors: golden numbers, fitted orders, closed form, and the identities of the predictor equation."""
+"""Numerical predictors: golden numbers, orders, closed form, few cells; and the baselines in plain Python."""
 
 import multiprocessing
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import HERE
 from golden import CASES, case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from operator_samples import SMALL, operator
 from scipy.integrate import solve_ivp
+from stiff_plants import Sprung
 
 import npred
 from npred import plants
-from npred.base import grid
+from npred.base import grid, registry
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.registry import METHODS
 from npred.lab.scheduler.configuration import identity
 from npred.loop.closed_loop import simulate
 from npred.networks import predictor as predictor_of
+from npred.plants import Plant
+from npred.plants.black_box import BlackBox
 from npred.prediction import methods as predictors
 from npred.prediction.delays import problem_of
-from npred.prediction.methods import RK4, Euler, Picard, Predictor
+from npred.prediction.methods import RK4, Euler, Picard, Predictor, method
+from npred.prediction.methods.coarse import Coarse, Examples, straight
 
 PLANT = plants.resolve("activator_repressor")
 SCALAR = plants.resolve("scalar", {"a": 0.8})
@@ -259,3 +265,120 @@ def test_joblib_runs_predictors_and_controllers_in_processes():
     for P, D_hat in zip(predictions, (0.5, 1.0), strict=True):
         np.testing.assert_array_equal(P, run(X, u, D_hat))
     np.testing.assert_array_equal(U, controller.step(X, u))
+
+
+SPRUNG = Plant("sprung", Sprung)
+
+
+def test_the_lines_are_those_of_least_squares():
+    """Each node stands for the cell around it, half a cell at the ends; cells that cut these in any place."""
+    rng, fine = np.random.default_rng(0), 4000
+    u = rng.normal(size=(2, 21, 3))
+    for count in (1, 3, 7):
+        s = (np.arange(count * fine) + 0.5) / (count * fine) * 20
+        dense = u[:, np.minimum((s + 0.5).astype(int), 20)]
+        found = straight(u, count)
+        for J in range(count):
+            part = slice(J * fine, (J + 1) * fine)
+            z = (s[part] - J * 20 / count) / (20 / count)
+            for row in range(2):
+                slope, begin = np.polyfit(z, dense[row, part], 1)
+                np.testing.assert_allclose(found[row, 2 * J], begin, atol=2e-3)
+                np.testing.assert_allclose(found[row, 2 * J + 1], begin + slope, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["heun", "rosenbrock", "semi_implicit"])
+def test_the_order_holds_where_u_jumps_inside_a_cell(name):
+    """Of a mass on a damper that is not stiff; by reading u at nodes it would be 1."""
+    plant, X, nx, counts = Plant("sprung", Sprung, {"drag": 3.0}), [0.2, 0.5], 2001, np.array([10, 20, 40, 80])
+    u, P = [], []
+    f = lambda t, P, held: plant.f(P, np.array([held]))
+    for node in range(800, 1000, 17):
+        u.append(np.where(np.arange(nx) < node, -1.0, 2.0)[:, None])
+        place, end = (node - 0.5) / (nx - 1), np.array(X)  # where the nodes' cells change
+        for span, held in (((0, place), -1.0), ((place, 1), 2.0)):
+            end = solve_ivp(f, span, end, args=(held,), rtol=1e-11, atol=1e-13).y[:, -1]
+        P.append(end)
+    errors = [np.abs(Coarse(plant, method(name), n, nx)(X, np.array(u), 1.0)[:, -1] - P).max() for n in counts]
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 1.7
+    assert errors[0] < 5e-3
+
+
+def test_between_the_ends_of_cells_P_is_a_straight_line():
+    u = np.sin(3 * grid.nodes(41))[:, None]
+    P = Coarse(SPRUNG, method("rosenbrock"), 4, 41)([0.0, 0.5], u, 1.0)
+    np.testing.assert_array_equal(P[0], [0.0, 0.5])
+    np.testing.assert_allclose(np.diff(P[10:21], 2, axis=0), 0.0, atol=1e-15)
+
+
+def test_a_plant_that_reads_nodes_alone_is_refused():
+    with pytest.raises(ConfigError, match="coarse: expected a traced plant with one constant delay, got unicycle"):
+        Coarse(npred.plant("unicycle"), method("heun"), 4)
+
+
+class Known(Examples):
+    """Examples whose U by a method on so many cells is known."""
+
+    U = {}
+
+    def on_cells(self, name, count):
+        return self.U[name, count][:, None]
+
+
+def known(count):
+    nobody = np.zeros(count)
+    return Known(SimpleNamespace(kappa=lambda P, t: P), nobody, np.zeros((count, 51, 1)), nobody, nobody)
+
+
+def test_a_step_is_short_enough_for_all_but_one_of_a_hundred_examples(monkeypatch):
+    ends = {50: np.zeros(200), 100: np.random.default_rng(0).permutation(200).astype(float)}
+    monkeypatch.setattr(Known, "U", {("rk4", count): U for count, U in ends.items()})
+    assert known(200).move("rk4", 50) == 198.0
+    ends[50][:3] = np.nan
+    assert known(200).move("rk4", 50) == np.inf
+
+
+FILE = HERE.parent / "pipeline" / "interpreted.py"
+Published, EulerPython = (registry.BASELINES.load("test", f"{FILE}:{name}") for name in ("Published", "EulerPython"))
+
+
+@pytest.mark.parametrize("baseline", [EulerPython, Published])
+def test_they_equal_euler(baseline):
+    golden, nx = case("B"), 41
+    u = golden.u(grid.nodes(nx))[:, None]
+    np.testing.assert_allclose(baseline(PLANT, nx)(golden.X, u, 1.0), Euler(PLANT, nx)(golden.X, u, 1.0), rtol=1e-12)
+
+
+def test_a_prediction_that_leaves_the_floats_is_nan_from_there_on():
+    plant = plants.resolve("van_der_pol")
+    X, u, D_hat = np.full((1, plant.n), 30.0), np.zeros((1, 201, plant.m)), np.full(1, 9.0)
+    compiled, interpreted = Euler(plant, 201), EulerPython(plant, 201)
+    P, Q = (np.isfinite(one.predict(X, u, D_hat, np.zeros(1))).all(axis=2)[0] for one in (compiled, interpreted))
+    assert P[0] and not P[-1] and (P == Q).all()
+
+
+def test_euler_in_python_works_on_floats_of_python():
+    """NumPy's numbers would make the baseline several times slower, and flatter what is compared with it."""
+    euler = EulerPython(plants.resolve("planar_arm2"), 11)
+    values = euler._f(*[0.1] * 4, *[0.2] * 2, 0.0, *euler.plant.p.tolist())
+    assert {type(value) for value in values} == {float}
+
+
+@pytest.mark.parametrize("baseline", [EulerPython, Published])
+def test_they_call_a_plant_that_is_not_traced(baseline):
+    class Box:
+        traced, states, inputs, box = False, ("x",), ("U",), {"x": (0, 1)}
+        f = lambda X, u, t, p: u - X**2
+        kappa = lambda X, t, p: -X
+        V = lambda X, t, p: X[:, 0] ** 2
+
+    plant, (X, u) = BlackBox("box", Box), (np.array([0.4]), np.full((5, 1), 0.3))
+    np.testing.assert_allclose(
+        baseline(plant, 5)(X, u, 0.2), predictors.numerical("euler", plant, 5)(X, u, 0.2), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", ["unicycle", "unicycle_time_delay"])
+def test_a_plant_with_other_delays_is_refused(name: str):
+    with pytest.raises(ConfigError, match=rf"published: expected a plant with one constant delay .* plant {name} is"):
+        Published(plants.resolve(name))

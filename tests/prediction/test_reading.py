@@ -21,21 +21,15 @@ class Unstable:
     """exp(2 D) = 7.4: an error at the begin of the delay is that much larger at its end."""
 
     states, inputs, box = ("x",), ("u",), {"x": (-1, 1)}
-
-    def f(x, u, t, p, M):
-        return [2 * x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [-8 * x.x]
+    f = lambda x, u, t, p, M: [2 * x.x + u.u]
+    kappa = lambda x, t, p, M: [-8 * x.x]
 
 
 class Stepped:
     """A pendulum whose reference jumps."""
 
     states, inputs, box = ("x", "v"), ("u",), {"x": (-1, 1), "v": (-1, 1)}
-
-    def f(x, u, t, p, M):
-        return [x.v, u.u - M.sin(x.x)]
+    f = lambda x, u, t, p, M: [x.v, u.u - M.sin(x.x)]
 
     def kappa(x, t, p, M):
         aim = M.where(t > 3, -0.5, M.where(t > 1.5, 1.0, 0.0))
@@ -47,48 +41,32 @@ class Saturated:
 
     states, inputs, box = ("x", "v"), ("u",), {"x": (-1, 1), "v": (-1, 1)}
     input_bounds = ((-1.0, 1.0),)
-
-    def f(x, u, t, p, M):
-        return [x.v, u.u]
-
-    def kappa(x, t, p, M):
-        return [-9 * x.x - 6 * x.v]
+    f = lambda x, u, t, p, M: [x.v, u.u]
+    kappa = lambda x, t, p, M: [-9 * x.x - 6 * x.v]
 
 
 class Stiff:
     """Two rates."""
 
     states, inputs, box = ("x", "y"), ("u",), {"x": (-1, 1), "y": (-1, 1)}
-
-    def f(x, u, t, p, M):
-        return [-20 * (x.x - u.u), x.x + x.y * x.y]
-
-    def kappa(x, t, p, M):
-        return [-3 * x.y - x.y * x.y - 0.05 * x.x]
+    f = lambda x, u, t, p, M: [-20 * (x.x - u.u), x.x + x.y * x.y]
+    kappa = lambda x, t, p, M: [-3 * x.y - x.y * x.y - 0.05 * x.x]
 
 
 class Relay:
     """Almost a switch."""
 
     states, inputs, box = ("x",), ("u",), {"x": (-1, 1)}
-
-    def f(x, u, t, p, M):
-        return [x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [-2 * M.tanh(20 * x.x)]
+    f = lambda x, u, t, p, M: [x.x + u.u]
+    kappa = lambda x, t, p, M: [-2 * M.tanh(20 * x.x)]
 
 
 class Chain:
     """Three integrators and a square."""
 
     states, inputs, box = ("a", "b", "c"), ("u",), {"a": (-1, 1), "b": (-1, 1), "c": (-1, 1)}
-
-    def f(x, u, t, p, M):
-        return [x.b, x.c, u.u + 0.5 * x.a**2]
-
-    def kappa(x, t, p, M):
-        return [-0.5 * x.a**2 - 8 * x.a - 12 * x.b - 6 * x.c]
+    f = lambda x, u, t, p, M: [x.b, x.c, u.u + 0.5 * x.a**2]
+    kappa = lambda x, t, p, M: [-0.5 * x.a**2 - 8 * x.a - 12 * x.b - 6 * x.c]
 
 
 # D and the start; None: the delay is the plant's own

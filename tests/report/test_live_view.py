@@ -1,13 +1,17 @@
-"""The live view: what it shows of each stage; and the console that shows it on terminals only."""
+"""The live view and bars: what a console shows of each stage, on terminals, in notebooks and without a screen."""
 
 import io
 import sys
 import threading
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import pytest
 from rich.console import Console as Rich
 
-from npred.lab.report.terminal.console import Console
+from npred.base.progress import counted
+from npred.lab.report.terminal import live_view
+from npred.lab.report.terminal.console import EVERY, Bar, Console
 from npred.lab.report.terminal.live_view import LiveView
 
 
@@ -172,3 +176,106 @@ def test_elsewhere_there_are_plain_lines(capsys: pytest.CaptureFixture[str]):
         console.finish("generate", "run", 1.0)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("generate: 2/2 steps in ")
+
+
+@pytest.fixture
+def outputs(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
+    """The states of the one output that a cell has."""
+    shown: list[dict[str, str]] = []
+
+    def update(bundle: dict[str, str], raw: bool) -> None:
+        shown.append(bundle)
+
+    def display(bundle: dict[str, str], raw: bool, display_id: bool) -> Any:
+        assert not shown, "a second output"
+        shown.append(bundle)
+        return SimpleNamespace(update=update)
+
+    fake, inner = ModuleType("IPython"), ModuleType("IPython.display")
+    fake.get_ipython = lambda: SimpleNamespace(kernel=object())  # type: ignore[attr-defined]
+    inner.display = display  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "IPython", fake)
+    monkeypatch.setitem(sys.modules, "IPython.display", inner)
+    return shown
+
+
+def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str, str]], capsys: Any):
+    console = live_view.NotebookConsole()
+    with console.watch("tank", ["generate"]):
+        console.doing("generate", "compiling")
+        console.note("generate: running")
+        with console.bar("generate", 8, "rollouts") as bar:
+            bar.advance(8)
+        console.finish("generate", "run", 3.0)
+    assert "generate" in outputs[0]["text/plain"]
+    assert "✓ generate" in outputs[-1]["text/plain"]
+    assert "<pre" in outputs[-1]["text/html"]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_warning_stands_below(outputs: list[dict[str, str]], capsys: Any):
+    live_view.NotebookConsole().warn("few samples")
+    assert capsys.readouterr().err == "warning: few samples\n"
+
+
+def test_only_a_kernel_is_a_notebook(outputs: list[dict[str, str]], monkeypatch: pytest.MonkeyPatch):
+    assert live_view.is_notebook()
+    monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: None)
+    assert not live_view.is_notebook()
+
+
+def lines(total: int, unit: str, done: int = 0) -> tuple[Clock, list[str], Bar]:
+    clock, said = Clock(), list[str]()
+    return clock, said, Bar(Console(clock=clock), "train", total, unit, done, said.append, None)
+
+
+def test_progress_is_a_line_now_and_then():
+    clock, said, bar = lines(40, "epochs")
+    for _ in range(40):
+        clock.now += EVERY / 4
+        bar.advance(note="loss 0.5")
+    assert len(said) == 10
+    assert said[0] == "train: 4/40 epochs in 10.0 s, 90 s left, loss 0.5"
+    assert said[-1] == "train: 40/40 epochs in 100.0 s, loss 0.5"
+
+
+def test_a_line_amid_an_epoch_has_the_last_loss():
+    clock, said, bar = lines(40, "epochs")
+    bar.advance(1, "loss 0.5")
+    clock.now += 2 * EVERY
+    bar.advance(0)
+    assert said == ["train: 1/40 epochs in 20.0 s, 780 s left, loss 0.5"]
+
+
+def test_the_time_left_counts_what_this_run_did():
+    clock, said, bar = lines(40, "epochs", done=30)
+    clock.now += 2 * EVERY
+    bar.advance(0)
+    assert said == []
+    bar.advance(2)
+    assert said == ["train: 32/40 epochs in 20.0 s, 80 s left"]
+
+
+def test_short_work_is_one_line():
+    _, said, bar = lines(1000, "samples")
+    for _ in range(10):
+        bar.advance(100)
+    assert said == ["train: 1000/1000 samples in 0.0 s"]
+
+
+def test_threads_count_together_without_a_screen():
+    _, said, bar = lines(4000, "steps")
+    threads = [threading.Thread(target=lambda: [bar.advance() for _ in range(1000)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert said == ["train: 4000/4000 steps in 0.0 s"]
+
+
+def test_units_are_plural_where_there_are_several():
+    assert (counted(1, "rollouts"), counted(0, "rollouts"), counted(8, "rollouts")) == (
+        "1 rollout",
+        "0 rollouts",
+        "8 rollouts",
+    )

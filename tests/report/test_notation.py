@@ -1,11 +1,17 @@
-"""What figures call states and inputs, with units; one markup for subscripts, and what each medium makes of it."""
+"""What figures call states and inputs, with units, in each medium; and the figure of the delay margin."""
 
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure as Canvas
+from typer.testing import CliRunner
 
+import npred
 from npred import plants
+from npred.cli import app
+from npred.lab.report import figures
 from npred.lab.report.figures.notation import (
     common_unit,
     markup,
@@ -82,3 +88,26 @@ def test_matplotlib_can_set_any_subscript(style):
 def test_a_page_gets_the_text_as_it_is():
     with medium(SCREEN):
         assert lettered("ε_{κ} ⁻³ D̂") == "ε_{κ} ⁻³ D̂"
+
+
+def drawn(figure):
+    axis = Canvas().subplots()
+    figure.panels[0].draw(axis)
+    return max((line.get_xydata() for line in axis.lines), key=len)
+
+
+@pytest.mark.parametrize(("name", "D"), [("scalar", 1.0), ("chemostat", 1.5)])
+def test_the_curve_is_below_0_in_the_margin_and_above_beyond(name, D):
+    plant = npred.plant(name)
+    low, high = npred.delay_margin(plant, D)
+    errors, rates = drawn(figures.margin(plant, "margin", D)).T
+    assert errors[0] < low and errors[-1] > high
+    np.testing.assert_array_equal(rates < 0, (errors > low) & (errors < high))
+
+
+def test_the_command_writes_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["plants", "check", "scalar", "--delay", "1", "--figure", "margin.svg"])
+    assert done.exit_code == 0 and (tmp_path / "margin.svg").read_text().startswith("<?xml")
+    done = CliRunner().invoke(app, ["plants", "check", "scalar", "--figure", "margin.txt"])
+    assert done.exit_code == 2 and "--figure: expected a file that ends in svg, pdf, png" in done.stderr

@@ -25,10 +25,7 @@ ERRORS = Table(
 
 
 def test_people_read_few_digits_and_programs_all():
-    assert ERRORS.texts == [
-        ["rk4_fast", "9.2·10⁻⁸", "100%"],
-        ["FNO", "∞", "–"],
-    ]
+    assert ERRORS.texts == [["rk4_fast", "9.2·10⁻⁸", "100%"], ["FNO", "∞", "–"]]
     assert list(csv.reader(io.StringIO(ERRORS.csv()))) == [
         ["predictor", "ε sup", "kept"], ["rk4_fast", "9.234e-08", "1.0"], ["FNO", "inf", ""],
     ]  # fmt: skip
@@ -76,10 +73,7 @@ def test_the_table_of_the_paper_has_a_line_a_predictor_and_a_pair_of_columns_a_d
     rows = [timing("euler_python", "python", 0.1, 60.0, eps_sup=1.1), timing("rk4", us=1.25, eps_sup=3.8e-4),
             timing("rk4", dx=0.01, us=4200.0, eps_sup=None)]  # fmt: skip
     table = tables.by_dx([*rows, timing("rk4", batch=1024), timing("rk4", matches="front")])
-    assert table.texts == [
-        ["Euler, interpreted", "60", "1.1", "–", "–"],
-        ["RK4", "1.25", "3.8·10⁻⁴", "4,200", "∞"],
-    ]
+    assert table.texts == [["Euler, interpreted", "60", "1.1", "–", "–"], ["RK4", "1.25", "3.8·10⁻⁴", "4,200", "∞"]]
 
 
 def test_a_gpu_row_says_whether_copies_are_in_it():

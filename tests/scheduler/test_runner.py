@@ -115,10 +115,7 @@ def test_a_process_that_dies_fails_its_cells_only(fakes: Path, pipeline: Path, t
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (
-            MemoryError("Unable to allocate 745. GiB for an array"),
-            "745. GiB for an array; take fewer nodes",
-        ),
+        (MemoryError("Unable to allocate 745. GiB for an array"), "745. GiB for an array; take fewer nodes"),
         (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to"), "got: DefaultCPUAllocator: can't"),
         (RuntimeError("another"), "^another$"),
     ],

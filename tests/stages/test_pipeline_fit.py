@@ -233,11 +233,7 @@ def test_a_state_without_a_range_is_told(tmp_path):
     [
         ("[M.sin(t) - x.x]", "[1 + x.x**2]", "leads to no equilibrium near guess"),
         ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected a period, for its prediction depends on time"),
-        (
-            "[M.sin(t) - x.x]",
-            "[x.x]",
-            r"moving.py:5\) does not stabilise without delay: eigenvalues 1 at x = 0",
-        ),
+        ("[M.sin(t) - x.x]", "[x.x]", r"moving.py:5\) does not stabilise without delay: eigenvalues 1 at x = 0"),
         ("[u.U]", "[u.U / M.sqrt(x.x - 0.5)]", r"f \(moving.py:4\) is not finite at x = 0.\d+, .*; shrink box"),
         (
             "[u.U]",

@@ -37,22 +37,11 @@ def test_the_law_makes_height_and_roll_linear(epsilon):
     plant, h = plants.resolve("pvtol", {"epsilon": epsilon}), 1e-3
     X = plant_claims.box(plant, 20)
     ends = [_moved(plant, X, sign * h) for sign in (-1, 1)]
-
-    def second(of):
-        return (of(ends[0]) - 2 * of(X) + of(ends[1])) / h**2
-
-    def first(of):
-        return (of(ends[1]) - of(ends[0])) / (2 * h)
-
-    def a(X):
-        return X[:, 0] - epsilon * np.sin(X[:, 2])
-
-    def b(X):
-        return X[:, 1] + epsilon * (np.cos(X[:, 2]) - 1)
-
-    def slope(X):
-        return np.tan(X[:, 2])
-
+    second = lambda of: (of(ends[0]) - 2 * of(X) + of(ends[1])) / h**2
+    first = lambda of: (of(ends[1]) - of(ends[0])) / (2 * h)
+    a = lambda X: X[:, 0] - epsilon * np.sin(X[:, 2])
+    b = lambda X: X[:, 1] + epsilon * (np.cos(X[:, 2]) - 1)
+    slope = lambda X: np.tan(X[:, 2])
     np.testing.assert_allclose(second(b), -b(X) - 2 * first(b), atol=1e-5)
     np.testing.assert_allclose(second(slope), a(X) + 4 * first(a) - 6 * slope(X) - 4 * first(slope), atol=1e-4)
     np.testing.assert_allclose(second(a), -(1 + second(b)) * slope(X), atol=1e-5)
@@ -61,9 +50,7 @@ def test_the_law_makes_height_and_roll_linear(epsilon):
 def _moved(plant, X, h, steps=8):
     """Classical Runge-Kutta along the loop without delay, whose inputs are the law's throughout."""
 
-    def rate(X):
-        return plant.f(X, plant.kappa(X))
-
+    rate = lambda X: plant.f(X, plant.kappa(X))
     for _ in range(steps):
         s = h / steps
         k1 = rate(X)

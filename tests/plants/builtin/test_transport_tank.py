@@ -50,8 +50,7 @@ def test_commands_never_overtake_each_other_from_the_box():
 
 
 def test_from_the_first_command_on_the_loop_is_the_one_without_delay():
-    def held(t, X):
-        return PLANT.f(X, PLANT.u_equilibrium)
+    held = lambda t, X: PLANT.f(X, PLANT.u_equilibrium)
 
     def arrives(t, X):  # the command of t = 0 acts when t = D(X(t))
         return t - PLANT.delay(X)

@@ -34,10 +34,7 @@ def crossovers(*speedups):
         ((0.5, 0.9), "No network pays for arm: the network takes 10.0 µs"),
         ((0.5, 2.0), "A network could pay for arm if its error is 0.01 or less: the"),
         ((2.0, 0.5), "A network could pay for arm, but not if its error has to be 0.01: the"),
-        (
-            (2.0, 3.0),
-            "A network could pay for arm: the network takes 10.0 µs, RK4 on 10 steps 5.0 µs at ε = 0.1, RK4",
-        ),
+        ((2.0, 3.0), "A network could pay for arm: the network takes 10.0 µs, RK4 on 10 steps 5.0 µs at ε = 0.1, RK4"),
     ],
 )
 def test_sentence(speedups, words):
@@ -135,12 +132,8 @@ def test_an_error_that_no_method_reaches_is_told(monkeypatch):
 def test_a_plant_without_a_box_is_refused():
     class Boxless:
         states, inputs, guess = ("x",), ("U",), (0.0,)
-
-        def f(x, u, t, p, M):
-            return [u.U]
-
-        def kappa(x, t, p, M):
-            return [-x.x]
+        f = lambda x, u, t, p, M: [u.U]
+        kappa = lambda x, t, p, M: [-x.x]
 
     with pytest.raises(ConfigError, match="box"):
         without_networks.measure(config.parse({"plant": "scalar"}, "tests"), plants.Plant("boxless", Boxless))
@@ -156,12 +149,8 @@ def test_a_plant_without_V_runs_its_own_law_unless_that_takes_one(monkeypatch, a
     class Pendulum:
         states, inputs = ("theta", "omega"), ("torque",)
         box = {"theta": (-0.5, 0.5), "omega": (-0.5, 0.5)}
-
-        def f(x, u, t, p, M):
-            return [x.omega, 10 * M.sin(x.theta) + u.torque]
-
-        def kappa(x, t, p, M):
-            return [-10 * M.sin(x.theta) - 4 * x.theta - 4 * x.omega]
+        f = lambda x, u, t, p, M: [x.omega, 10 * M.sin(x.theta) + u.torque]
+        kappa = lambda x, t, p, M: [-10 * M.sin(x.theta) - 4 * x.theta - 4 * x.omega]
 
     asked, rows = [], sampling.rows
     monkeypatch.setattr(

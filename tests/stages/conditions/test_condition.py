@@ -1,14 +1,17 @@
-"""The loops that a table of the pipeline file asks for: those of simulate with the same settings."""
+"""The loops that a table of the pipeline file asks for: those of simulate with the same settings, and their starts."""
 
 import math
+import types
 
 import numpy as np
 import pytest
+from jobs import tables
 
 import npred
 from npred.base.errors import ConfigError
+from npred.lab import config
 from npred.lab.config import Evaluate
-from npred.lab.config.conditions import Condition
+from npred.lab.config.conditions import Condition, box, starts
 from npred.prediction.methods import RK4
 
 PLANT = npred.plant("activator_repressor")
@@ -66,3 +69,20 @@ def test_without_adaptation_the_estimate_is_held():
 def test_a_parameter_that_the_plant_does_not_have_is_refused():
     with pytest.raises(ConfigError, match=r"expected parameters .* got 'k'"):
         run(Evaluate(truth={"k": 1.0}))
+
+
+def test_starts_are_figure_1_then_cases_then_the_map():
+    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
+    begin = starts(config.parse(tables_ | {"seed": 0}, "tests"), PLANT)
+    assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
+    assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
+    np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
+    np.testing.assert_array_equal(begin.X0[1], begin.X0[2])
+    assert (begin.X0[begin.cases, 1] >= 25).all() and (begin.X0[begin.cases, 1] <= 35).all()
+
+
+def test_experiments_start_in_the_plants_box_and_data_in_the_pipelines():
+    pipeline = config.parse({"plant": PLANT.name, "generate": {"box": {"x1": [0.5, 0.7], "x2": [3.0, 4.0]}}}, "tests")
+    boxless = types.SimpleNamespace(states=PLANT.states, box={"x2": (1.0, 2.0)})
+    np.testing.assert_array_equal(box(boxless, pipeline.generate), [[0.5, 0.7], [1.0, 2.0]])
+    np.testing.assert_array_equal(box(boxless, pipeline.generate, data=True), [[0.5, 0.7], [3.0, 4.0]])

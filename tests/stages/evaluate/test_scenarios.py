@@ -70,15 +70,9 @@ class Held:
     """x' = a x + u with u = 1 - 2 x: at rest at 1 / (2 - a) without a delay."""
 
     states, inputs, parameters = ("x",), ("u",), {"a": 1.0}
-
-    def f(x, u, t, p, M):
-        return [p.a * x.x + u.u]
-
-    def kappa(x, t, p, M):
-        return [1 - 2 * x.x]
-
-    def V(x, t, p, M):
-        return (x.x - 1) ** 2
+    f = lambda x, u, t, p, M: [p.a * x.x + u.u]
+    kappa = lambda x, t, p, M: [1 - 2 * x.x]
+    V = lambda x, t, p, M: (x.x - 1) ** 2
 
 
 @pytest.mark.parametrize(("a", "lost"), [(1.0, 0), (1.1, 0), (1.5, 2)])

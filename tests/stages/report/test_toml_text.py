@@ -11,10 +11,7 @@ from npred.lab import config
 from npred.lab.stages.report import toml_text
 
 LEAVES = st.one_of(
-    st.booleans(),
-    st.integers(-(2**60), 2**60),
-    st.floats(allow_nan=False),
-    st.text('aé"\\ \n#', max_size=5),
+    st.booleans(), st.integers(-(2**60), 2**60), st.floats(allow_nan=False), st.text('aé"\\ \n#', max_size=5)
 )
 KEYS = st.text("ab .é_-1", min_size=1, max_size=3)
 FLAT = st.dictionaries(KEYS, st.one_of(LEAVES, st.lists(LEAVES, max_size=3)), max_size=3)
