@@ -12,7 +12,6 @@ import pytest
 from c_controllers import find_nothing, needs_gcc
 from hypothesis import given
 from hypothesis import strategies as st
-from npred.kernels.callback import Failure, callback
 
 import npred
 from npred.formulas import called_functions
@@ -20,7 +19,7 @@ from npred.formulas.tape import OPS, M, Tape
 from npred.kernels import compiler, formula
 from npred.kernels.c_text import single
 from npred.kernels.formula import function, vector
-from npred.kernels.kernel import Shape, address, made, skeleton
+from npred.kernels.kernel import Failure, Shape, address, callback, made, skeleton
 from npred.loop import signals
 from npred.loop.engine import LOOP, ON_A_CLOCK
 

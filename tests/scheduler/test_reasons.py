@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 from conftest import TANK, Call, document, settings_of
-from npred.lab.scheduler.stage_registry import nodes, usual
 
 from npred.lab import config
 from npred.lab.scheduler import reasons
+from npred.lab.scheduler.plan import nodes, usual
 from npred.lab.store import Artifact, Question, Store
 from npred.lab.store.manifest import Manifest
 
