@@ -7,10 +7,11 @@ import numpy as np
 from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.formulas import Value, programs
-from npred.formulas.trace import Trace
+from npred.formulas.tape import names
+from npred.formulas.trace import Trace, python
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.laws import design
+from npred.laws.design import MOMENTS, SAMPLES, SPAN, acts
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import family
@@ -56,8 +57,8 @@ def _barrier(
 
 def assumed(plant: Plant) -> list[str]:
     """The parameters without whose values U would move an earlier derivative of a limit: 0, say."""
-    names = {name for k in range(plant.limits) for name in _degree(plant, k)[1]}
-    return [name for name in plant.parameters if name in names]
+    decisive = {name for k in range(plant.limits) for name in _degree(plant, k)[1]}
+    return [name for name in plant.parameters if name in decisive]
 
 
 def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
@@ -65,17 +66,23 @@ def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
     trace = Trace(plant)
     x, u, t = trace.symbols()
     along, still = trace.f(x, u, t), trace.f(x, np.zeros(plant.m), t)
-    X, moments = design.samples(plant), np.resize(design.moments(plant), design.SAMPLES)
+    pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
+    low, high = np.array(pairs, dtype=float).T  # 1 around the guess where the box has no range
+    X = randomness.generator(0, "laws").uniform(low, high, (SAMPLES, plant.n))
+    times = np.resize(np.linspace(0.0, plant.period or SPAN, MOMENTS, endpoint=False), SAMPLES)
     limits = inputs.bounds(plant, None)
     limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
-    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (design.SAMPLES, plant.m))
+    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (SAMPLES, plant.m))
     y, decide = trace.safe(x, t)[k], []
     for degree in range(1, plant.n + 1):
         [rate] = programs.derivative([y], [t, *x], [1.0, *along])
         slopes = [programs.derivative([rate], [*u], [*unit])[0] for unit in np.eye(plant.m)]
         [y] = programs.derivative([y], [t, *x], [1.0, *still])
-        rates = design.values(plant, [*slopes, y], X, U, moments)  # the last one is what is there where U = 0
-        if design.acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1]):
+        symbolic = [*names("x", plant.n), *names("u", plant.m), "t", *names("p", len(plant.p))]
+        with np.errstate(all="ignore"):
+            columns = python([*slopes, y], symbolic)(*X.T, *U.T, times, *plant.p)
+        rates = np.stack([np.broadcast_to(a, times.shape) for a in columns], axis=-1).astype(float)  # the last: U = 0
+        if acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1]):
             return degree, decide
         symbols = zip(plant.parameters, trace.parameters, strict=True)
         decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
