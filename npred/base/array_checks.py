@@ -27,7 +27,7 @@ def floats(name: str, value: object, kind: str = "an array of real numbers") -> 
         pass
     came = f"a {type(value).__name__}" if hasattr(value, "shape") else reprlib.repr(value)
     if isinstance(value, np.ndarray) or _masked(value):
-        came = "a masked array" if _masked(value) else f"an array of {value.dtype}"
+        came = "a masked array" if _masked(value) else f"an array of {np.asarray(value).dtype}"
     raise ConfigError(f"{name}: expected {kind}, got {came}; convert it")
 
 

@@ -124,7 +124,7 @@ def identify(
 
 def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: Path) -> Path:
     """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    made = rewritable(path, "identify")
+    target = rewritable(path, "identify")
     longest = max(range(plant.m), key=lambda j: result.D[j])
     D, (low, high) = result.D[longest], result.interval[longest]
     loop = {"D": float(f"{D:.6g}"), "bounds": [float(f"{end:.6g}") for end in (low, high)]}
@@ -139,7 +139,7 @@ def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: P
         "parameters": options.config.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters},
         "generate": loop, "evaluate": loop | {"X0": middle},
     }  # fmt: skip
-    head = f"{made} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
+    head = f"{target} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
     if plant.m > 1 and plant.one_delay:
         delays = ", ".join(f"{delay:.6g}" for delay in result.D)
         head += f"# The inputs have different delays: write delays = ({delays}) in the plant's class.\n"

@@ -169,11 +169,11 @@ def rows_of(cell: Cell, run: CellRun) -> Iterator[Row]:
             radius = scores.radius
             numbers |= {"eps_kappa": scores.eps_kappa, "radius": radius.median, "radius_worst": radius.worst}
             numbers |= {"converged": radius.converged}
-        known = {key: number for key, number in numbers.items() if math.isfinite(number)}
-        own = [row for row in times if row.predictor == contender.model and contender.epoch is None]
-        latency = min((row.median_us for row in own if abs(row.dx - dx) < dx / 10), default=None)
+        finite = {key: number for key, number in numbers.items() if math.isfinite(number)}
+        rows_of = [row for row in times if row.predictor == contender.model and contender.epoch is None]
+        latency = min((row.median_us for row in rows_of if abs(row.dx - dx) < dx / 10), default=None)
         source = list(artifacts)[-1] if "evaluate" in artifacts else contender.model
-        every = {key: known.get(key) for key in MEASURED} | {"latency_us": latency}
+        every = {key: finite.get(key) for key in MEASURED} | {"latency_us": latency}
         yield Row(cell.values, contender.name, every, artifacts[source].name)
 
 

@@ -18,7 +18,6 @@ from npred.networks.domain import Domain
 from npred.plants.base import Plant
 
 MANIFEST = "model.json"
-LARGEST = 2**53  # of anything that is counted
 
 
 class NetworkTable(Protocol):
@@ -189,9 +188,6 @@ def _table(folder: Path) -> SavedTable:
         table = SavedTable(str(manifest["model"]), str(manifest["anchor"]), dict(manifest["arguments"]))
         if not in_file(table.architecture) and table.architecture not in NETWORKS.names():
             raise ValueError(table.architecture)
-        for name, value in table.arguments.items():
-            if isinstance(value, int) and not 0 <= value <= LARGEST:
-                raise ValueError(f"{value} as {name}")
     except (OSError, KeyError, TypeError, ValueError) as error:
         reason, names = " ".join(str(error).split()), ", ".join(NETWORKS.names())
         raise StoreError(f"{folder / MANIFEST}: expected a network of {names}, got: {reason}; train it again") from None

@@ -237,7 +237,7 @@ print("done")
 @needs_gcc
 @pytest.mark.parametrize("files", [LOOP, ON_A_CLOCK])
 def test_strict_compilers_find_nothing_in_the_loop(tmp_path, files):
-    declared = [*signals.declared(), signals.declared_events()]
+    declared = signals.declared(events=True)
     text = "\n".join([skeleton("base.h"), *declared, *map(skeleton, files)])
     (tmp_path / "loop.c").write_text(text)
     find_nothing(tmp_path, "loop.c", *STRICT)

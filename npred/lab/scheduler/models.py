@@ -71,6 +71,7 @@ def load(
     """
     if not isinstance(model, str | Path):
         raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
+    devices.require(devices.resolve(device))
     return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
 
 

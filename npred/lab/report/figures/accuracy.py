@@ -141,13 +141,13 @@ def learning(histories: Mapping[PredictorId, Epochs]) -> Figure:
     solid = {network: replace(line_of(network), dash=()) for network in histories}  # dashes hide roughness
     panels = []
     for key, title in METRICS.items():
-        lines, told = [], []
+        lines, words = [], []
         for network, epochs in histories.items():
             values = [row[key] for row in epochs]
             marked = replace(solid[network], marker="" if len(epochs) > 1 else "o")  # one point makes no line
             lines.append((marked, [row["epoch"] for row in epochs], values))
-            told.append(f"{network.label} {values[0]:.2e} to {values[-1]:.2e} in {len(epochs)} epochs")
-        panels.append(Panel(title, f"{title}: {'; '.join(told)}.", curves(lines, "epoch", "y")))
+            words.append(f"{network.label} {values[0]:.2e} to {values[-1]:.2e} in {len(epochs)} epochs")
+        panels.append(Panel(title, f"{title}: {'; '.join(words)}.", curves(lines, "epoch", "y")))
     caption = (
         "One point per epoch. The loss differs by network; the errors are in state units, on the rollouts that the "
         "data hold out."
@@ -180,12 +180,12 @@ def certificate(evaluation: EvaluationData) -> Figure:
         axis.set_xlabel(with_unit("ε_{κ} on held-out samples", common_unit(plant, plant.inputs)))
         log(axis, "x", "y")
 
-    told = [
+    words = [
         f"{predictor.label}: ε_{{κ}} {row.eps_kappa:.2e}, radius from {short(row.radius.median)} (median) to "
         f"{short(row.radius.worst)} (worst)"
         for predictor, row in radii.items()
     ]
-    alt = "; ".join(told) + "." if told else "No network's loops stay finite."
+    alt = "; ".join(words) + "." if words else "No network's loops stay finite."
     theory, entries = "", legend([*evaluation.loops])
     if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
         theory = (
