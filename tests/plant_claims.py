@@ -132,7 +132,9 @@ def replayed(plant: Plant, loop: Trajectories, D: Any) -> np.ndarray:
 
 
 def _advance(plant: Plant, X: np.ndarray, u: np.ndarray, t: float, dt: float) -> np.ndarray:
-    solved = solve_ivp(lambda s, x: plant.f(x, u, s), (t, t + dt), X, "DOP853", first_step=dt, rtol=1e-10, atol=1e-12)
+    span = (t, t + dt)
+    one_step = {"first_step": span[1] - t, "rtol": 1e-10, "atol": 1e-12}  # not smaller ones unless the error asks
+    solved = solve_ivp(lambda s, x: plant.f(x, u, s), span, X, "DOP853", **one_step)
     return solved.y[:, -1]
 
 
