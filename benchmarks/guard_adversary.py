@@ -35,7 +35,7 @@ from npred.guard.guarded import Guarded
 from npred.lab.scheduler.models import load_data
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset
-from npred.prediction.delays import family, problem_of
+from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods import RK4
 
 READINGS = ("linear", "cubic", "constant", "means")
@@ -302,7 +302,7 @@ def command(guard: Guarded, P: np.ndarray, calls: Calls) -> np.ndarray:
     U = np.empty((len(P), guard.plant.m))
     times = calls.t if guard.plant.clocked else np.zeros(len(P))
     control = problem_of(guard.plant).control(RK4.step)
-    family.by_time(control, (P, calls.u, calls.D_hat), times, (guard.plant.p,), (U,))
+    problem.by_time(control, (P, calls.u, calls.D_hat), times, (guard.plant.p,), (U,))
     return U.T
 
 

@@ -23,7 +23,7 @@ from npred.lab.scheduler.models import load_data, load_model
 from npred.lab.stages.bench import candidates, timing
 from npred.lab.training.data import shards
 from npred.loop import metrics
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 from npred.prediction.methods import OneStep, Predictor, method
 
 PROBES = 64
@@ -34,13 +34,13 @@ def one_call(run: Predictor) -> kernel.Kernel:
     """The compiled call of a loop: the model, and its guard where there is one."""
     parts = {"MODEL": run.lanes()} | ({"CHECK": run.guard} if isinstance(run, Guarded) else {})
     check = "    CHECK(d, X, u, D_hat, t, p, guard, P, error, fallback, work);\n" if len(parts) > 1 else ""
-    head = kernel.prototype("KERNEL", family.GUARD)
+    head = kernel.prototype("KERNEL", problem.GUARD)
     body = f"static inline {head}\n{{\n    MODEL(d, X, u, D_hat, t, p, P, work);\n{check}}}\n"
 
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         return max(part.work(nx, lanes, settings) for part in parts.values())
 
-    return kernel.made("call", family.GUARD, body, {}, {}, parts, work=work)
+    return kernel.made("call", problem.GUARD, body, {}, {}, parts, work=work)
 
 
 def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[str, float]:

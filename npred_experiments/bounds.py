@@ -24,7 +24,7 @@ from npred.base import array_checks, grid
 from npred.guard.guarded import Guarded
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.delays.family import by_time
+from npred.prediction.delays.problem import by_time
 from npred_experiments.intervals import Interval, Operand, interval
 
 CELLS = 200  # that Q has at least

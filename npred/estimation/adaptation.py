@@ -13,7 +13,7 @@ from npred.estimation.delay_law import DelayLaw, delay
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.delays.family import Kernel
+from npred.prediction.delays.problem import Kernel
 
 STARTS, SPAN, SETTLING = 16, 20.0, 5.0  # starts of the box, and how long they are followed: delays, time constants
 CELLS = (200, 800)  # parts of that time; more where fewer leave the finite numbers

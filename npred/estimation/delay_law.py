@@ -11,8 +11,8 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError
 from npred.plants.base import Plant
-from npred.prediction.delays import family, problem_of
-from npred.prediction.delays.family import Kernel
+from npred.prediction.delays import problem, problem_of
+from npred.prediction.delays.problem import Kernel
 from npred.prediction.methods import RK4
 
 
@@ -102,7 +102,7 @@ class DelayLaw(ABC):
         """
 
     def kernel(self, plant: Plant) -> Kernel | None:
-        """The law compiled for a plant, family.UPDATE of npred.prediction.delays: D_hat' = gamma phi; None
+        """The law compiled for a plant, problem.UPDATE of npred.prediction.delays: D_hat' = gamma phi; None
         where `rate` has to run.
 
         It writes phi (B,), and N (B,) where the law has one: W takes it (npred.loop.lyapunov).
@@ -110,7 +110,7 @@ class DelayLaw(ABC):
         return None
 
     def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int] | None:
-        """A law that finds D_hat from X and its own commands: family.OBSERVE of npred.prediction.delays, compiled
+        """A law that finds D_hat from X and its own commands: problem.OBSERVE of npred.prediction.delays, compiled
         for the plant.
 
         With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
@@ -179,7 +179,7 @@ def _interpreted(law: DelayLaw, plant: Plant) -> Kernel:
 
     def step(P: Any, X: Any, u: Any, D_hat: Any, t: float, p: Any, b: float, phi: Any, N: Any) -> None:
         try:
-            X, u, P, rows = family.rows(X, u, P, D_hat)
+            X, u, P, rows = problem.rows(X, u, P, D_hat)
             returned = law.rate(plant, X, u, P, rows, t)
             rates = np.asarray(returned, dtype=float)
         except ConfigError:

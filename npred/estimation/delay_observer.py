@@ -36,7 +36,7 @@ from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
-from npred.prediction.delays import family, problem_of
+from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods.runge_kutta import Heun
 
 NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
@@ -133,7 +133,7 @@ def _traced(plant: Plant, count: int) -> Kernel:
     arguments = [vector("x", n), vector("v", m, "wide"), vector("X", n), vector("w", n), "inject", "t", "h"]
     functions = {"STEP": of.function([*y, *e, *moves], arguments, {"out": 2 * n + m}, "wide")}
     return made(
-        "observe", family.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
+        "observe", problem.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
         before=[skeleton("candidates.h")], work=lambda nx, lanes, _: 4 * lanes + count,
     )  # fmt: skip
 

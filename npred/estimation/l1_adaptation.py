@@ -9,7 +9,7 @@ from npred.estimation.delay_law import DelayLaw
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family, problem_of
+from npred.prediction.delays import problem, problem_of
 
 
 @dataclass(frozen=True)
@@ -72,4 +72,4 @@ def _kernel(plant: Plant, epsilon: float) -> Kernel:
     arguments = [vector("x", n), vector("u", m), vector("y", n), vector("v", m), "s", "t"]
     functions = {"NODE": of.function([*w, *q], arguments, {"wq": 2 * m}, "one")}
     sizes = {"N": n, "M": m, "EPSILON": repr(epsilon or 1e-300)}
-    return made("l1", family.UPDATE, skeleton("l1.h"), functions, sizes, work=lambda nx, lanes, _: 2 * m * nx)
+    return made("l1", problem.UPDATE, skeleton("l1.h"), functions, sizes, work=lambda nx, lanes, _: 2 * m * nx)

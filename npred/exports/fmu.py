@@ -126,7 +126,9 @@ def export(
         _each(file_set, "SourceFile", {file: {} for file in sources})
         _each(configuration, "Library", {"m": {}})
         files["sources/buildDescription.xml"] = _text(root)
-    path.write_bytes(_archive(files))
+    aside = path.with_name(f"{path.name}.tmp")  # a full disk leaves no half of an FMU
+    aside.write_bytes(_archive(files))
+    aside.replace(path)
     without = NO_PLACE if c_files.compiler() else NO_LIBRARY
     holds = f"{', '.join(places)} and sources" if places else without
     facts = {"libraries": list(places), "token": token, "variables": [variable.name for variable in listed]}

@@ -14,8 +14,8 @@ from npred.base.errors import ConfigError
 from npred.kernels.kernel import Failure, callback, made, skeleton
 from npred.networks.domain import Domain
 from npred.plants.base import Plant
-from npred.prediction.delays import family, problem_of
-from npred.prediction.delays.family import Kernel, by_time
+from npred.prediction.delays import problem, problem_of
+from npred.prediction.delays.problem import Kernel, by_time
 from npred.prediction.methods.base import Compiled, OneStep, Predictor
 from npred.prediction.methods.coarse import LADDER, Coarse, Examples, one_step
 from npred.prediction.methods.runge_kutta import RK4
@@ -30,7 +30,7 @@ WORTH = 0.4  # times the operations of `exact`: what the shadows of the first le
 LEVELS = 4  # grids that the settings have room for
 HEAD = 3 + LEVELS  # numbers of the settings before those of the domain: tolerance, limit, how many levels, their counts
 SHADOWS = 4  # predictions side by side, of a method whose steps tell their error; there is one of any other
-POINTERS = {"CONTROL": family.CONTROL, "EXACT": family.PREDICT, "REFERENCE": family.PREDICT}
+POINTERS = {"CONTROL": problem.CONTROL, "EXACT": problem.PREDICT, "REFERENCE": problem.PREDICT}
 
 
 class Guarded(Predictor):
@@ -243,7 +243,7 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     sizes = {"N": n, "M": m, "PHASED": int(phased), "PERIOD": repr(plant.period) if phased else "1.0"}
     sizes |= {"ON_CELLS": int(cells), "SIGNED": int(signed), "SHADOWS": shadows}
     sizes |= {"ORDER": method.order, "LEVELS": LEVELS} | ({} if plant.traced else {"FOREIGN": ""})
-    guard = made("guarded", family.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
+    guard = made("guarded", problem.GUARD, skeleton("guard.h"), {}, sizes, compiled, [skeleton("cells.h")], work=work)
     if plant.traced:
         return guard
 

@@ -62,8 +62,8 @@ def foreign_type(arguments: str) -> Any:
 
 @dataclass(frozen=True)
 class Kernel:
-    """A C function of the arrays `arguments`, as npred.prediction.delays.family names them; its text calls `before` and
-    `parts`.
+    """A C function of the arrays `arguments`, as npred.prediction.delays.problem names them; its text calls `before`
+    and `parts`.
 
     Arrays have their lanes innermost. `exact` ones round as compiler.EXACT has it, `loose` ones never do: a network's
     sums depend on the width of the processor's vectors anyway.

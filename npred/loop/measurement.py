@@ -136,7 +136,7 @@ def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[st
 
 
 def observed(observer: Observer) -> Callable[..., None]:
-    """family.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError where it returns another
+    """problem.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError where it returns another
     shape.
     """
     from npred.loop.actuator import acting

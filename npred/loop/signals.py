@@ -12,7 +12,7 @@ import numpy as np
 
 from npred.kernels.kernel import address, prototype
 from npred.loop import clock
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 
 C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
 NUMBERS = {"float64": ctypes.c_double, "int64": ctypes.c_int64, "int": ctypes.c_int}
@@ -157,11 +157,11 @@ EVENTS = [  # one loop on a real clock; times since its start, in control steps
     Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost
 ]
 PARTS = {
-    "horizon": family.HORIZON, "observer": family.ESTIMATE, "observe": family.OBSERVE, "model_delay": family.HORIZON,
-    "predict": family.PREDICT, "guard": family.GUARD, "control": family.CONTROL, "update": family.UPDATE,
-    "delay_speed": family.SPEED, "advance": family.ADVANCE, "model": family.ADVANCE,
-    "follow": family.FOLLOW, "correct": family.CORRECT_BY, "watchdog_law": family.CONTROL, "output": family.OUTPUT,
-    "exact": family.PREDICT, "protect": family.PROTECT,
+    "horizon": problem.HORIZON, "observer": problem.ESTIMATE, "observe": problem.OBSERVE,
+    "model_delay": problem.HORIZON, "predict": problem.PREDICT, "guard": problem.GUARD, "control": problem.CONTROL, "update": problem.UPDATE,
+    "delay_speed": problem.SPEED, "advance": problem.ADVANCE, "model": problem.ADVANCE,
+    "follow": problem.FOLLOW, "correct": problem.CORRECT_BY, "watchdog_law": problem.CONTROL, "output": problem.OUTPUT,
+    "exact": problem.PREDICT, "protect": problem.PROTECT,
 }  # fmt: skip
 
 State = namedtuple("State", [signal.name for signal in STATE])

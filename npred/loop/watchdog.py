@@ -68,7 +68,7 @@ class Watchdog:
         return np.full(m, np.inf) if self.jump is None else _one_per_input("jump", self.jump, m)
 
     def law(self, plant: Plant) -> Kernel | Callable[..., None] | None:
-        """npred.prediction.delays.family.CONTROL of its law, or None."""
+        """npred.prediction.delays.problem.CONTROL of its law, or None."""
         if not callable(self.then):
             return None
         declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})

@@ -19,7 +19,7 @@ from npred.kernels.kernel import Kernel, made, skeleton
 from npred.networks.program import Matrix, Program
 from npred.networks.weights import TrainedOperator
 from npred.plants.base import Plant
-from npred.prediction.delays import family, problem_of
+from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods.base import Compiled, Predictor
 
 COARSE = 100  # intervals that an FNO is evaluated on, at least
@@ -131,7 +131,7 @@ def fold(
 
     `precision` is that of the network: np.float32 or np.float64.
 
-    Raises ConfigError for a network without a program, a plant whose family has none, or whose time has no period.
+    Raises ConfigError for a network without a program, a plant whose delays have none, or whose time has no period.
     """
     plant.phase(0.0)
     problem_of(plant).needs("fused")
@@ -189,7 +189,7 @@ def kernel(p: Program) -> Kernel:
     }  # fmt: skip
     if p.series:
         sizes |= {"SERIES_LOW": repr(p.series.low), "SERIES_SCALE": repr(2 / (p.series.high - p.series.low))}
-    return made("fused", family.PREDICT, body, {}, sizes, work=lambda nx, lanes, _: doubles, loose=True)
+    return made("fused", problem.PREDICT, body, {}, sizes, work=lambda nx, lanes, _: doubles, loose=True)
 
 
 def _view(p: Program) -> Callable[[Matrix | None], str]:

@@ -19,7 +19,7 @@ from npred.loop.closed_loop import simulate
 from npred.plants import Plant
 from npred.plants.black_box import BlackBox
 from npred.prediction import methods as predictors
-from npred.prediction.delays.family import transition
+from npred.prediction.delays.problem import transition
 from npred.prediction.methods import RK4
 
 PLANT = plants.resolve("activator_repressor")

@@ -232,12 +232,12 @@ COMPILED = (
     LAW
     + """
     def kernel(self, plant):
-        return family.build("towards", family.UPDATE, BODY)
+        return family.build("towards", problem.UPDATE, BODY)
 """
 )
 COMPILED = COMPILED.replace(
     "import npred",
-    "import npred\nfrom npred.prediction.delays import family\n\nBODY = "
+    "import npred\nfrom npred.prediction.delays import problem\n\nBODY = "
     + repr("    for (int l = 0; l < d.lanes; l++) {\n        phi[l] = 1.0 - D_hat[l];\n    }\n"),
 )
 

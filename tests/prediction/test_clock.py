@@ -23,7 +23,7 @@ from npred.networks import predictor
 from npred.plants import BlackBox, Plant
 from npred.prediction import methods as predictors
 from npred.prediction.delays import problem_of
-from npred.prediction.delays.family import BOUNDED
+from npred.prediction.delays.problem import BOUNDED
 from npred.prediction.methods import RK4
 
 UNICYCLE, IN_TIME = plants.resolve("unicycle"), plants.resolve("unicycle_time_delay")

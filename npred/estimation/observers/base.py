@@ -14,7 +14,7 @@ from npred.formulas.trace import Trace, python
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant, require
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 
 POINTS = 64  # places in the box, at which the sizes of f, kappa and the outputs are looked at
 TINY = 1e-9  # relative: what is no more than a rounding error
@@ -105,12 +105,12 @@ class Observer(ABC):
     @property
     @abstractmethod
     def follow(self) -> Kernel:
-        """npred.prediction.delays.family.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
+        """npred.prediction.delays.problem.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
 
     @property
     @abstractmethod
     def correct(self) -> Kernel:
-        """family.CORRECT_BY of npred.prediction.delays: the memory corrected by a sample, and the difference."""
+        """problem.CORRECT_BY of npred.prediction.delays: the memory corrected by a sample, and the difference."""
 
     def fitting(self, name: str, value: Any, size: int) -> np.ndarray:
         """Finite numbers (size,), or one for all. Raises ConfigError for others."""
@@ -165,11 +165,11 @@ class Observer(ABC):
         return [*(x[self._places] if self._selects else trace.output(x, t))]
 
     def measure(self) -> Kernel:
-        """npred.prediction.delays.family.OUTPUT: the outputs of a state, without errors."""
+        """npred.prediction.delays.problem.OUTPUT: the outputs of a state, without errors."""
         of = Formulas(self.plant, ())
         y = self.traced_outputs(of.trace, of.trace.vector("x", self.plant.n), of.trace.input("t"))
         shown = of.function(y, [vector("x", self.plant.n, "1"), "t"], {"y": len(y)}, "1")
-        return made("measure", family.OUTPUT, skeleton("measure.h"), {"SHOWN": shown}, {"N": self.plant.n})
+        return made("measure", problem.OUTPUT, skeleton("measure.h"), {"SHOWN": shown}, {"N": self.plant.n})
 
     def output_function(self, of: Formulas) -> str:
         """The C function of the outputs (l,) and of their derivatives by the state (l, n)."""

@@ -13,7 +13,7 @@ from npred.formulas import programs, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 from npred.prediction.methods.runge_kutta import RK4
 
 MODEL = 0.1  # the share of f that the model does not know, by default
@@ -95,7 +95,7 @@ class EKF(Observer):
         arguments = [*(vector(name, size, "1") for name, size in zip("xuvw", (n, m, n, m), strict=True)), "t", "h"]
         functions = {"STEP": of.function([*y, *change], arguments, {"y": n, "change": n}, "1")}
         text = skeleton("ekf_follow.h") + skeleton("follow.h")
-        return made("ekf_follow", family.FOLLOW, text, functions, self._counts | {"WIDTH": 3 * self.size})
+        return made("ekf_follow", problem.FOLLOW, text, functions, self._counts | {"WIDTH": 3 * self.size})
 
     @cached_property
     def correct(self) -> Kernel:
@@ -103,7 +103,7 @@ class EKF(Observer):
         x = self.plant.stopped(of.trace.vector("x", n), tape.M)  # a state stays within the plant's state_bounds
         stop = of.function([*x], [vector("x", n, "1")], {"y": n}, "1")
         functions = {"OUTPUT": self.output_function(of), "STOP": stop}
-        return made("ekf_correct", family.CORRECT_BY, skeleton("ekf_correct.h"), functions, self._counts)
+        return made("ekf_correct", problem.CORRECT_BY, skeleton("ekf_correct.h"), functions, self._counts)
 
     @property
     def _counts(self) -> dict[str, int]:

@@ -13,7 +13,7 @@ from npred.formulas import Array, Value, programs, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 from npred.prediction.methods.runge_kutta import RK4
 
 STEP = 0.5  # the longest of RK4, times the fastest pole
@@ -98,14 +98,14 @@ class Luenberger(Observer):
         arguments = [vector("z", len(z), "1"), vector("u", m, "1"), vector("l", L.size, "1"), "t", "h"]
         functions = {"STEP": of.function(y, arguments, {"y": len(z)}, "1")}
         text = skeleton("luenberger_follow.h") + skeleton("follow.h")
-        return made("luenberger_follow", family.FOLLOW, text, functions, {"N": n, "M": m})
+        return made("luenberger_follow", problem.FOLLOW, text, functions, {"N": n, "M": m})
 
     @cached_property
     def correct(self) -> Kernel:
         of = Formulas(self.plant, ())
         sizes = {"N": self.plant.n, "M": self.plant.m, "SIZE": self.size, "OUTPUTS": len(self.outputs)}
         text, functions = skeleton("luenberger_correct.h"), {"OUTPUT": self.output_function(of)}
-        return made("luenberger_correct", family.CORRECT_BY, text, functions, sizes)
+        return made("luenberger_correct", problem.CORRECT_BY, text, functions, sizes)
 
 
 def smallest_gain(A: np.ndarray, C: np.ndarray, dy: np.ndarray, rate: float) -> np.ndarray:

@@ -165,7 +165,7 @@ def _require(fit: PipelineFit, case: Case) -> None:
 
 
 def served(fit: PipelineFit) -> None:
-    """Whether methods, laws and runtimes serve the plant's family: all that do not in one refusal, and what to set."""
+    """Whether methods, laws and runtimes serve the plant: all that do not in one refusal, and the key to set."""
     refusal, pipeline = problem_of(fit.plant).refusal, fit.pipeline
     asked: dict[str, tuple[str, Any]] = {}  # what a key names, and what to set in its place
     for stage, loop in fit.loops.items():

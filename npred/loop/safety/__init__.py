@@ -74,7 +74,7 @@ class SafetyFilter:
         return {"ends": self.ends, "protected": nx}
 
     def kernel(self, plant: "Plant") -> "Kernel":
-        """npred.prediction.delays.family.PROTECT of the plant."""
+        """npred.prediction.delays.problem.PROTECT of the plant."""
         from npred.loop.safety.filter import kernel  # brings what compiles, which reading a pipeline has no use for
 
         return kernel(plant, self.ends)

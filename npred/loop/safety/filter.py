@@ -14,7 +14,7 @@ from npred.kernels.kernel import Kernel, made, skeleton
 from npred.laws.design import MOMENTS, SAMPLES, SPAN, acts
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 
 
 @cache
@@ -35,7 +35,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     functions = {"BARRIER": of.function([*limits, *phi, *a, *pull], arguments, results, "one"), "FLOW": of.f()}
     rows = 2 * ends * len(limits) + 2 * m
     sizes = {"N": n, "M": m, "K": len(limits), "ENDS": ends, "ROWS": rows}
-    return made("protect", family.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
+    return made("protect", problem.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
 
 
 def _barrier(

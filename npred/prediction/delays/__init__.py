@@ -4,8 +4,8 @@ from npred.plants.base import Plant
 from npred.prediction.delays.arrays import ArrayProblem
 from npred.prediction.delays.constant import ConstantDelay
 from npred.prediction.delays.declared import DeclaredDelay
-from npred.prediction.delays.family import PredictionProblem
 from npred.prediction.delays.per_input import DelayPerInput
+from npred.prediction.delays.problem import PredictionProblem
 
 PROBLEMS: tuple[type[PredictionProblem], ...] = (ArrayProblem, ConstantDelay, DeclaredDelay, DelayPerInput)
 

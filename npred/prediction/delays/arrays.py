@@ -11,7 +11,7 @@ from npred.base import grid
 from npred.formulas import Value, array_math
 from npred.plants.base import Plant
 from npred.plants.black_box import BlackBox
-from npred.prediction.delays.family import CURES, Kernel, PredictionProblem, Step, transition
+from npred.prediction.delays.problem import CURES, Kernel, PredictionProblem, Step, transition
 
 Lanes = np.ndarray  # lanes innermost
 

@@ -10,8 +10,8 @@ from npred.formulas.trace import Trace
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family
-from npred.prediction.delays.family import PredictionProblem, Step, compiled, transition
+from npred.prediction.delays import problem
+from npred.prediction.delays.problem import PredictionProblem, Step, compiled, transition
 
 
 class ConstantDelay(PredictionProblem):
@@ -35,7 +35,7 @@ class ConstantDelay(PredictionProblem):
         inputs = vector("a", m, stride), vector("m", m, "wide"), vector("b", m, stride)
         functions = {"STEP": of.function(y, [vector("x", n), *inputs, "t", "h"], {"y": n})}
         before, sizes = [skeleton("reading.h")], {"M": m, "CELLS": int(cells), "MIDDLE": int(middle)}
-        return compiled("sweep", family.PREDICT, "sweep.h", of, functions, before, **sizes)
+        return compiled("sweep", problem.PREDICT, "sweep.h", of, functions, before, **sizes)
 
     def paired(self, step: Step, cells: bool = False) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -44,18 +44,18 @@ class ConstantDelay(PredictionProblem):
         y = called_functions.stepped(of.trace, step, x, inputs, of.trace.input("t"), of.trace.input("h"))
         arguments = [vector("x", 2 * n, "one"), vector("a", m), vector("b", m), "t", "h"]
         functions = {"STEP": of.function(y, arguments, {"y": 2 * n}, "one")}
-        return compiled("paired", family.PREDICT, "paired.h", of, functions, CELLS=int(cells))
+        return compiled("paired", problem.PREDICT, "paired.h", of, functions, CELLS=int(cells))
 
     def picard(self, tolerance: float, sweeps: int) -> Kernel:
         of = Formulas(self.plant)
         sizes = {"TOLERANCE": repr(tolerance), "SWEEPS": sweeps}
-        return compiled("picard", family.PREDICT, "picard.h", of, {"F": of.f()}, **sizes)
+        return compiled("picard", problem.PREDICT, "picard.h", of, {"F": of.f()}, **sizes)
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
         U = of.trace.kappa(of.trace.vector("x", n), of.trace.input("t"))
         functions = {"KAPPA": of.function(U, [vector("x", n), "t"], {"U": m})}
-        return compiled("control", family.CONTROL, "control.h", of, functions)
+        return compiled("control", problem.CONTROL, "control.h", of, functions)
 
     def update(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -73,7 +73,7 @@ class ConstantDelay(PredictionProblem):
             "NODE": of.function(node, [*after, "t", "h"], written, "wide"),
             "VALUE": of.function([trace.V(x, t)], [vector("x", n), "t"], {"value": 1}, "wide"),
         }
-        return compiled("update", family.UPDATE, "update.h", of, functions)
+        return compiled("update", problem.UPDATE, "update.h", of, functions)
 
     def correction(self) -> Kernel:
         """With e = P̂ - P, e' = D_hat f_P(P̂, u) e + δ, δ = P̂' - D_hat f(P̂, u), e(0) = P̂(0) - X; both of order 2."""
@@ -81,7 +81,7 @@ class ConstantDelay(PredictionProblem):
         x, u, e = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.vector("e", n)
         along = of.trace.df(x, u, of.trace.input("t"), e)
         slope = of.function(along, [vector("x", n), vector("u", m), vector("e", n, "one"), "t"], {"d": n}, "one")
-        return compiled("correction", family.CORRECT, "correction.h", of, {"F": of.f(), "SLOPE": slope})
+        return compiled("correction", problem.CORRECT, "correction.h", of, {"F": of.f(), "SLOPE": slope})
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -89,7 +89,7 @@ class ConstantDelay(PredictionProblem):
         y = called_functions.stepped(of.trace, step, x, (u, u, u), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped([*y], tape.M)
         functions = {"STEP": of.function(y, [vector("x", n), vector("u", m), "t", "h"], {"y": n}, "wide")}
-        return compiled("advance", family.ADVANCE, "advance.h", of, functions)
+        return compiled("advance", problem.ADVANCE, "advance.h", of, functions)
 
 
 def _node(trace: Trace, x: Array, u: Array, t: Value, r: Array, s: Array) -> list[Value]:

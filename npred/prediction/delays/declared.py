@@ -16,9 +16,9 @@ from npred.formulas.trace import Trace
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family
+from npred.prediction.delays import problem
 from npred.prediction.delays.constant import ConstantDelay
-from npred.prediction.delays.family import CURES, PredictionProblem, Step, compiled
+from npred.prediction.delays.problem import CURES, PredictionProblem, Step, compiled
 
 STEPS = 20  # steps of Newton's method for s(1); a delay that is free of time needs one
 
@@ -59,7 +59,7 @@ class DeclaredDelay(PredictionProblem):
         inputs = [vector(name, m, "wide") for name in "amb"]
         functions = {"STEP": of.function([*y, margin], [vector("x", n + 1, "one"), *inputs, "h"], {"y": n + 2}, "one")}
         sizes = {"M": m, "TIMED": int(timed), "MIDDLE": int(programs.depends(y, um))}
-        return compiled("sweep", family.PREDICT, "declared.h", of, functions, [skeleton("reading.h")], **sizes)
+        return compiled("sweep", problem.PREDICT, "declared.h", of, functions, [skeleton("reading.h")], **sizes)
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
@@ -72,7 +72,7 @@ class DeclaredDelay(PredictionProblem):
             "KAPPA": of.function(of.trace.kappa(x, s), [vector("x", n), "s"], {"U": m}),
         }
         steps = STEPS if programs.depends([delay], [s]) else 1
-        return compiled("control", family.CONTROL, "control.h", of, functions, STEPS=steps)
+        return compiled("control", problem.CONTROL, "control.h", of, functions, STEPS=steps)
 
     def advance(self, step: Step) -> Kernel:
         return ConstantDelay(self.plant).advance(step)  # the engine says when the inputs switch
@@ -81,14 +81,14 @@ class DeclaredDelay(PredictionProblem):
         n, of = self.plant.n, Formulas(self.plant, ())
         delay = of.trace.delay(of.trace.vector("x", n), of.trace.input("t"))
         text = of.function([delay], [vector("x", n), "t"], {"value": 1}, "one")
-        return compiled("horizon", family.HORIZON, "horizon.h", of, {"VALUE": text})
+        return compiled("horizon", problem.HORIZON, "horizon.h", of, {"VALUE": text})
 
     def speed(self) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
         x, u, t = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t")
         margin = _margin(of.trace, x, t, of.trace.f(x, u, t))
         text = of.function([margin], [vector("x", n), vector("u", m), "t"], {"value": 1}, "one")
-        return compiled("speed", family.SPEED, "speed.h", of, {"VALUE": text})
+        return compiled("speed", problem.SPEED, "speed.h", of, {"VALUE": text})
 
 
 def _margin(trace: Trace, x: Array, t: Value, velocity: Array) -> Value:

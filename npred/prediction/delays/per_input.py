@@ -15,8 +15,8 @@ from npred.formulas import Array, Value, called_functions, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel
 from npred.plants.base import Plant
-from npred.prediction.delays import family
-from npred.prediction.delays.family import PredictionProblem, Step, compiled
+from npred.prediction.delays import problem
+from npred.prediction.delays.problem import PredictionProblem, Step, compiled
 
 
 class DelayPerInput(PredictionProblem):
@@ -35,7 +35,7 @@ class DelayPerInput(PredictionProblem):
     def sweep(self, step: Step, cells: bool = False, more: int = 0) -> Kernel:
         of = Formulas(self.plant, ())
         functions, ratios = {"STEP": self._step(of, step, more)}, [*self.plant.ratios.tolist(), *more * [1.0]]
-        return compiled("sweep", family.PREDICT, "per_input.h", of, functions, M=len(ratios), RATIOS=_array(ratios))
+        return compiled("sweep", problem.PREDICT, "per_input.h", of, functions, M=len(ratios), RATIOS=_array(ratios))
 
     def control(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant, ())
@@ -44,7 +44,7 @@ class DelayPerInput(PredictionProblem):
         U = [of.trace.kappa(Y[c * n : (c + 1) * n], t + r * D_hat)[c] for c, r in enumerate(ratios)]
         law = of.function(U, [vector("x", n * m, "wide"), "t", "D_hat"], {"U": m})
         functions = {"STEP": self._step(of, step), "LAW": law}
-        return compiled("control", family.CONTROL, "per_input.h", of, functions, RATIOS=_array(ratios))
+        return compiled("control", problem.CONTROL, "per_input.h", of, functions, RATIOS=_array(ratios))
 
     def advance(self, step: Step) -> Kernel:
         n, m, of = self.plant.n, self.plant.m, Formulas(self.plant)
@@ -52,7 +52,7 @@ class DelayPerInput(PredictionProblem):
         y = called_functions.stepped(of.trace, step, x, (u, u, u), of.trace.input("t"), of.trace.input("h"))
         y = self.plant.stopped([*y], tape.M)
         functions = {"STEP": of.function(y, [vector("x", n), vector("u", m, "one"), "t", "h"], {"y": n})}
-        return compiled("advance", family.ADVANCE, "per_input_advance.h", of, functions)
+        return compiled("advance", problem.ADVANCE, "per_input_advance.h", of, functions)
 
     def _step(self, of: Formulas, step: Step, more: int = 0) -> str:
         """One step in place; `past` says which inputs' histories have ended."""

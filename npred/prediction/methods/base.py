@@ -14,7 +14,7 @@ from npred.base.notebook import InNotebook
 from npred.formulas import Array, Value, called_functions
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.delays.family import Step, rows
+from npred.prediction.delays.problem import Step, rows
 from npred.prediction.methods.single import SingleCalls
 
 Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trace, which knows derivatives too
@@ -41,7 +41,7 @@ class Predictor(InNotebook, ABC):
     """
 
     name: ClassVar[str] = "predictor"
-    guard: Any = None  # npred.prediction.delays.family.GUARD, called after `lanes`, where a predictor is checked
+    guard: Any = None  # npred.prediction.delays.problem.GUARD, called after `lanes`, where a predictor is checked
     settings: Any = None  # numbers that `guard` reads
 
     def __init__(self, plant: Plant, nx: int = 101):
@@ -112,7 +112,7 @@ class Predictor(InNotebook, ABC):
         """
 
     def lanes(self) -> Callable[..., None]:
-        """The same map on the loop's memory, lanes innermost: family.PREDICT of npred.prediction.delays, P in place."""
+        """The same map on the loop's memory, lanes innermost: problem.PREDICT of npred.prediction.delays."""
 
         def predict(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: float, p: np.ndarray, P: np.ndarray) -> None:
             X, u, D_hat = rows(X, u, D_hat)
@@ -241,7 +241,7 @@ class OneStep(Compiled):
         return problem_of(self.plant).sweep(self.step)
 
     def cells(self) -> Callable[..., None]:
-        """The compiled map for inputs that are a straight line on each cell: family.PREDICT with `cells`."""
+        """The compiled map for inputs that are a straight line on each cell: problem.PREDICT with `cells`."""
         return problem_of(self.plant).sweep(self.step, cells=True)
 
     @classmethod

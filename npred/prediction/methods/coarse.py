@@ -12,7 +12,7 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
-from npred.prediction.delays import family, problem_of
+from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods import method
 from npred.prediction.methods.base import Compiled, OneStep, Predictor
 from npred.prediction.methods.runge_kutta import RK4
@@ -67,7 +67,7 @@ class Coarse(Compiled):
             return cells * lanes + sweep.work(count + 1, lanes, None)
 
         sizes, body = {"N": n, "M": m, "COUNT": count}, skeleton("coarse.h")
-        return made("coarse", family.PREDICT, body, {}, sizes, {"SWEEP": sweep}, [skeleton("cells.h")], work=work)
+        return made("coarse", problem.PREDICT, body, {}, sizes, {"SWEEP": sweep}, [skeleton("cells.h")], work=work)
 
     def call_operations(self, steps: int) -> int:
         """The operations of a call, whatever number of steps the nodes ask for, counted in the program of a step."""
@@ -100,7 +100,7 @@ class Examples:
         times = self.t if plant.clocked else np.zeros(len(self.X))
         run = one_step(name)(plant).cells()
         with np.errstate(all="ignore"):
-            family.by_time(run, (self.X, straight(self.u, count), self.D_hat), times, (plant.p,), (P,))
+            problem.by_time(run, (self.X, straight(self.u, count), self.D_hat), times, (plant.p,), (P,))
         return self.command(P[:, -1])
 
     def move(self, name: str, count: int) -> float:
