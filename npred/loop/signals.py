@@ -158,7 +158,8 @@ EVENTS = [  # one loop on a real clock; times since its start, in control steps
 ]
 PARTS = {
     "horizon": problem.HORIZON, "observer": problem.ESTIMATE, "observe": problem.OBSERVE,
-    "model_delay": problem.HORIZON, "predict": problem.PREDICT, "guard": problem.GUARD, "control": problem.CONTROL, "update": problem.UPDATE,
+    "model_delay": problem.HORIZON, "predict": problem.PREDICT, "guard": problem.GUARD, "control": problem.CONTROL,
+    "update": problem.UPDATE,
     "delay_speed": problem.SPEED, "advance": problem.ADVANCE, "model": problem.ADVANCE,
     "follow": problem.FOLLOW, "correct": problem.CORRECT_BY, "watchdog_law": problem.CONTROL, "output": problem.OUTPUT,
     "exact": problem.PREDICT, "protect": problem.PROTECT,
