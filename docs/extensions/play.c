@@ -39,8 +39,7 @@ const double *play(double D, double D_hat, double gamma, double noise, int predi
         const int at = ROWS - 1 + k; /* the commands before t = 0 are there too */
         const double t = k * NPRED_DT, estimate = predicts ? controller.saved.D_hat[0] : 0.0;
         read_sensors(N, 1, &sensors, 0, k, X, Y);
-        transport(d, at, 0.0, NPRED_DT, late, held, total, u);
-        transport_nodes(d, at, 0.0, NPRED_DT, late, held, u_nodes);
+        transport(d, at, 0.0, NPRED_DT, late, held, total, u, u_nodes);
         if (!predicts) {
             control_now(Y, t, U);
         } else if (npred_step_nodes(&controller, Y, u, u_nodes, U) != NPRED_OK) {

@@ -12,18 +12,15 @@ static inline double sum_to(double s, int c, int l, Shape d, INDEX wrap, const d
     return total[at] + larger(s - (double)i, 0.0) * held[at];
 }
 
-/* The length of the history that is read for a delay D, in control steps; NaN, of a loop that ended, reads 0. */
-static inline double span_of(Shape d, INDEX k, double dt, double D)
+/* u at `part` of control step k, for the delays D (m, lanes). The predictor integrates u: `u` has the mean over each
+ * node's cell, and the trapezoidal rule on cell means is the integral of the held input on any grid. The update law
+ * compares u with kappa(P): `u_nodes`, where it is asked for, has values at the nodes, linear between the starts of
+ * control steps, where U = kappa(P(1)) was commanded; the held value lags behind by half a step on average. At x = 1 it is
+ * the newest U, from the left. */
+static INLINED void transport(Shape d, INDEX k, double part, double dt, const double *D, const double *held,
+                              const double *total, double *u, double *u_nodes)
 {
-    const double longest = (double)(k < d.rows - 1 ? k : d.rows - 1), steps = D / dt;
-    return steps > 0.0 ? smaller(steps, longest) : 0.0;
-}
-
-/* u at `part` of control step k, for the delays D (m, lanes): the mean over each node's cell. The predictor integrates u,
- * and the trapezoidal rule on cell means is the integral of the held input on any grid. */
-static inline void transport(Shape d, INDEX k, double part, double dt, const double *D, const double *held,
-                             const double *total, double *u)
-{
+    const int last = d.nx - 1;
     const INDEX wrap = k - k % d.rows, newest = part > 0.0 ? k : k - 1;
     const double now = (double)k + part;
     for (int c = 0; c < d.m; c++) {
@@ -31,39 +28,33 @@ static inline void transport(Shape d, INDEX k, double part, double dt, const dou
             const int width = least(WIDE, d.lanes - from);
             double span[WIDE], before[WIDE] = {0.0}, sum_before[WIDE] = {0.0};
             for (int l = 0; l < width; l++) {
-                span[l] = span_of(d, k, dt, D[c * d.lanes + from + l]);
+                const double longest = (double)(k < d.rows - 1 ? k : d.rows - 1), steps = D[c * d.lanes + from + l] / dt;
+                span[l] = steps > 0.0 ? smaller(steps, longest) : 0.0; /* NaN, of a loop that ended, reads 0 */
                 before[l] = now - span[l];
                 sum_before[l] = sum_to(before[l], c, from + l, d, wrap, held, total);
             }
             for (int j = 0; j < d.nx; j++) {
-                const double edge = larger(1.0 - ((double)j + 0.5) / (double)(d.nx - 1), 0.0);
-                double *const mean = u + ((ptrdiff_t)j * d.m + c) * d.lanes + from;
+                const double node = 1.0 - (double)j / (double)last, edge = larger(1.0 - ((double)j + 0.5) / (double)last, 0.0);
+                const ptrdiff_t row = ((ptrdiff_t)j * d.m + c) * d.lanes + from;
                 for (int l = 0; l < width; l++) {
                     const double s = now - edge * span[l], sum_s = sum_to(s, c, from + l, d, wrap, held, total);
-                    mean[l] = s > before[l] ? (sum_s - sum_before[l]) / (s - before[l])
-                                            : held[((ptrdiff_t)modulo(newest, d.rows) * d.m + c) * d.lanes + from + l];
+                    u[row + l] = s > before[l]
+                                     ? (sum_s - sum_before[l]) / (s - before[l])
+                                     : held[((ptrdiff_t)modulo(newest, d.rows) * d.m + c) * d.lanes + from + l];
                     before[l] = s;
                     sum_before[l] = sum_s;
+                    if (u_nodes) {
+                        const double position = now - node * span[l];
+                        const INDEX at = (INDEX)(position + ROUNDING), i = at < newest ? at : newest;
+                        const INDEX next = i < newest ? i + 1 : newest;
+                        const INDEX here = i < wrap ? i - wrap + d.rows : i - wrap;
+                        const INDEX there = next < wrap ? next - wrap + d.rows : next - wrap;
+                        const double begin = held[((ptrdiff_t)here * d.m + c) * d.lanes + from + l];
+                        const double end = held[((ptrdiff_t)there * d.m + c) * d.lanes + from + l];
+                        u_nodes[row + l] = begin + larger(position - (double)i, 0.0) * (end - begin);
+                    }
                 }
             }
-        }
-    }
-}
-
-/* u at the nodes, which the update law compares with kappa(P): linear between the starts of control steps, where U =
- * kappa(P(1)) was commanded; the held value lags behind by half a step on average. At x = 1 it is the newest U, from the
- * left. */
-static inline void transport_nodes(Shape d, INDEX k, double part, double dt, const double *D, const double *held, double *u)
-{
-    const INDEX newest = part > 0.0 ? k : k - 1;
-    const ptrdiff_t row = (ptrdiff_t)d.m * d.lanes;
-    for (int j = 0; j < d.nx; j++) {
-        const double node = 1.0 - (double)j / (double)(d.nx - 1);
-        for (ptrdiff_t a = 0; a < row; a++) {
-            const double position = (double)k + part - node * span_of(d, k, dt, D[a]);
-            const INDEX at = (INDEX)(position + ROUNDING), i = at < newest ? at : newest, next = i < newest ? i + 1 : i;
-            const double begin = held[modulo(i, d.rows) * row + a], end = held[modulo(next, d.rows) * row + a];
-            u[j * row + a] = begin + larger(position - (double)i, 0.0) * (end - begin);
         }
     }
 }

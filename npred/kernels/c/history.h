@@ -4,8 +4,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, double *D, double *held, 
                    double *work)
 {
     (void)work;
-    transport(d, k, 0.0, dt, D, held, total, u);
-    transport_nodes(d, k, 0.0, dt, D, held, u_nodes);
+    transport(d, k, 0.0, dt, D, held, total, u, u_nodes);
 }
 #elif WHICH == 1
 static inline void KERNEL(Shape d, INDEX k, double dt, double *D, double *U, double *held, double *total, double *U0,

@@ -59,7 +59,7 @@ static inline void predict_end(Shape d, int e, double moved, INDEX k, double par
     }
     if (moved != 0.0) {
         own_history(d, s->ratios, D_hat, z->D_moved);
-        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved);
+        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved, NULL);
         if (s->offsets) {
             offset(d, d.nx, 1.0, z->filter + d.n, z->u_moved);
         }
@@ -105,11 +105,10 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
     } else if (s->reads_commands) {
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
-    if (s->stores_commands) {
-        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u);
-    }
     if (s->stores_commands && q->update) {
-        transport_nodes(d, k, part, s->dt, z->D_seen, z->held, z->u_nodes);
+        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
+    } else if (s->stores_commands) {
+        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, NULL);
     }
     if (s->offsets) {
         offset(d, d.nx, 1.0, z->filter + d.n, z->u);
