@@ -13,7 +13,7 @@ import numpy as np
 
 from npred.base import grid
 from npred.base.errors import ConfigError, installed
-from npred.base.registry import NETWORKS, RUNTIMES
+from npred.base.registry import NETWORKS, RUNTIMES, short_name
 from npred.kernels.c_text import constant, literal
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.networks.program import Matrix, Program
@@ -120,7 +120,7 @@ def require(operator: TrainedOperator, what: str, cure: str, name: str = "") -> 
     """Raise ConfigError, after `what` needs it, unless the operator's network can be lowered; `name`: its own."""
     if not lowering(operator):
         names = ", ".join(name for name, entry in NETWORKS.builtin.items() if entry.fused)
-        name = name or operator.architecture
+        name = name or short_name(operator.architecture)
         raise ConfigError(f"{what}: expected a network that can be lowered ({names}), got {name}; {cure}")
 
 
