@@ -204,6 +204,8 @@ LAWS = Registry(  # kappa, designed from f
         "sontag": Entry("npred.laws.universal:sontag", "Sontag's formula"),
     },
 )
+PAPER, OBSERVER, FROZEN = "bresch-pietri-krstic", "delay-observer", "frozen"  # laws for the estimate of the delay
+WITHOUT_V = (FROZEN, "l1", OBSERVER)  # those that take no V
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",

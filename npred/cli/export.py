@@ -12,13 +12,11 @@ from npred import exports, plants
 from npred.base import defaults, grid
 from npred.base.errors import ConfigError
 from npred.cli.options import Exporting, ExportingLoop, argument, flag, writable, writable_folder
-from npred.estimation.adaptation import DelayAdaptation
 from npred.exports import FORMATS, NetworkAlone, WholeController
 from npred.guard.guarded import Guarded
 from npred.lab import config
-from npred.lab.config import Evaluate, conditions
-from npred.lab.scheduler.models import load_model
-from npred.lab.training.data import shards
+from npred.lab.config import PAPER, Evaluate, conditions
+from npred.lab.scheduler.models import held_out, load_model
 from npred.loop.controller import Controller
 from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
@@ -82,16 +80,10 @@ def _network(options: Exporting, key: str) -> NetworkAlone:
     """A trained model, and held-out samples of its data on as many nodes; a time that is not known is 0."""
     nx, stored = options.nx or NX, load_model(key, options.store, options.set)
     operator = weights.read(stored.folder, stored.plant, stored.snapshot, np.float32, stored.config)
-    source = options.results.find(str(stored.folder)).manifest.question.inputs["generate"]
-    data = options.results.get("generate", source.key)
-    if data is None:
-        raise ConfigError(
-            f"export: expected the model's data {source.key[:12]} in {options.store}, got none; generate it"
-        )
-    held_out = shards.survey(data.verify().folder / "data.h5").subset(test=True)
-    rows = np.linspace(0, len(held_out) - 1, min(COMPARED, len(held_out))).astype(int)
-    u, t = grid.means(held_out.u[rows], nx), np.nan_to_num(held_out.t[rows])
-    return NetworkAlone(operator, stored.plant, nx, (held_out.X[rows], u, held_out.D_hat[rows], t), stored.model)
+    rows = held_out(stored, options.results)
+    chosen = np.linspace(0, len(rows) - 1, min(COMPARED, len(rows))).astype(int)
+    u, t = grid.means(rows.u[chosen], nx), np.nan_to_num(rows.t[chosen])
+    return NetworkAlone(operator, stored.plant, nx, (rows.X[chosen], u, rows.D_hat[chosen], t), stored.model)
 
 
 def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
@@ -117,8 +109,10 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     else:
         predictor = numerical(options.predictor, plant, nx)
     predictor = Guarded(predictor, exact=exact, **guard) if guard else predictor
-    controller = of_table(plant, predictor, table, max_sample_age=options.oldest, watchdog=watchdog(options.watchdog))
-    if controller.actuator == HISTORY and isinstance(controller.adaptation, DelayAdaptation):
+    controller = of_table(
+        plant, predictor, table, max_sample_age=options.max_sample_age, watchdog=watchdog(options.watchdog)
+    )
+    if controller.actuator == HISTORY and table.adaptation == PAPER:
         options.console.warn(RECALLS)
     about = f"{pipeline.name}:{predictor.name}"
     return WholeController(controller, about, table.X0 or plant.target(0.0), table.t_end)

@@ -148,7 +148,9 @@ class ExportingLoop(Exporting):
     ] = ""
     guard: Annotated[float | None, flag("Guard: the largest error of U that passes; as in evaluate.")] = None
     watchdog: Annotated[str, WATCHDOG] = ""
-    oldest: Annotated[float | None, flag("How old a sample may be; by default 20 control steps.", word="TIME")] = None
+    max_sample_age: Annotated[
+        float | None, flag("How old a sample may be; by default 20 control steps.", word="TIME")
+    ] = None
 
     @property
     def overrides(self) -> list[str]:

@@ -8,9 +8,8 @@ from npred.base import devices
 from npred.base.errors import StoreError, installed
 from npred.cli.gc import shortened
 from npred.cli.options import Common
-from npred.kernels import compiler
 from npred.lab.store import Artifact
-from npred.lab.store.manifest import NAME
+from npred.lab.store.manifest import NAME, versions
 
 SHOWN = 4  # names of results on a line
 PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer", "onnxruntime", "distributed")
@@ -35,7 +34,7 @@ def doctor(options: Common) -> None:
 
         facts["torch_threads"] = torch.get_num_threads()
         facts["gpus"] = [torch.cuda.get_device_name(index) for index in range(torch.cuda.device_count())]
-    facts |= {"compiler": compiler.version(), "packages": devices.packages(*PACKAGES)}
+    facts |= {"compiler": versions()["compiler"], "packages": devices.packages(*PACKAGES)}
     facts["store"] = {
         "path": str(store.root),
         "writable": os.access(above, os.W_OK),

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from npred.diagnosis.case import FROZEN, OBSERVER, PAPER, Case, Verdict
+from npred.base.registry import FROZEN, OBSERVER, PAPER
+from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.equilibrium import FALLING, HOME, distances, times
 from npred.estimation.adaptation import DelayAdaptation
 from npred.estimation.delay_observer import DelayObserver

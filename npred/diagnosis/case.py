@@ -9,6 +9,7 @@ import numpy as np
 
 from npred.base import randomness, source_lines
 from npred.base.errors import ConfigError
+from npred.base.registry import WITHOUT_V
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 Verdict = tuple[Literal["yes", "warn", "no"], str]
 SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that depends on time is looked at
-PAPER, OBSERVER, FROZEN = "bresch-pietri-krstic", "delay-observer", "frozen"  # delay laws by their names
-WITHOUT_V = (FROZEN, "l1", OBSERVER)  # laws that take no V
 
 
 class Answer(NamedTuple):

@@ -149,7 +149,18 @@ def test_a_controller_with_a_numerical_predictor(export, trained):
 
 
 def test_a_controller_with_a_watchdog_that_takes_older_samples(export, trained):
-    flags = ("--predictor", "heun", "--actuator", "history", "--nx", "21", "--watchdog", "0.5:zero", "--oldest", "1.5")
+    flags = (
+        "--predictor",
+        "heun",
+        "--actuator",
+        "history",
+        "--nx",
+        "21",
+        "--watchdog",
+        "0.5:zero",
+        "--max-sample-age",
+        "1.5",
+    )
     done = export("controller", *flags, model=str(trained / "p.toml"))
     assert done.exit_code == 0, done.output
     text = Path("npred/npred.c").read_text()
@@ -174,7 +185,7 @@ def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     [
         (("--watchdog", "soon"), "--watchdog: expected TIME[:hold|zero], got 'soon'; as 0.2:zero"),
         (("--watchdog", "1:stop"), "then: expected numbers, a law or one of hold, zero, got 'stop'"),
-        (("--oldest", "-1"), "oldest: expected how old a sample may be, at least 0"),
+        (("--max-sample-age", "-1"), "max-sample-age: expected how old a sample may be, at least 0"),
     ],
 )
 def test_a_watchdog_or_age_that_is_none_is_refused_in_one_line(export, trained, flags, message):

@@ -39,7 +39,7 @@ def mine(tmp_path: Path) -> str:
 
 
 def test_a_runtime_of_a_file_or_of_a_package_evaluates_a_network(mine, package):
-    package("mine = shed_of_tanks:Mine", MINE, "npred.networks")
+    package("mine = shed_of_tanks:Mine", MINE, "npred.runtimes")
     data, model = samples(4), operator(SMALL[0])
     P = Neural(PLANT, model)(data.X, data.u, data.D_hat)
     for name in (mine, "mine"):

@@ -10,7 +10,7 @@ import numpy as np
 from npred import plants
 from npred.base import randomness
 from npred.base.errors import ConfigError
-from npred.base.registry import DELAY_LAWS, OBSERVERS
+from npred.base.registry import DELAY_LAWS, FROZEN, OBSERVERS
 from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer as StateObserver
@@ -18,7 +18,6 @@ from npred.lab.config.evaluate import Evaluate, Scenario
 from npred.lab.config.loop import LoopTable
 from npred.lab.config.pipeline import Generate, Pipeline
 from npred.lab.config.results import PredictorId
-from npred.lab.config.section import FROZEN
 from npred.loop import closed_loop, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop

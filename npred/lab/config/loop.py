@@ -6,9 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import model_validator
 
 from npred.base.errors import bytes_text
+from npred.base.registry import FROZEN, PAPER
 from npred.lab.config.section import (
-    FROZEN,
-    PAPER,
     Actuator,
     Bounds,
     Law,

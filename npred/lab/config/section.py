@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from npred.base import registry
-from npred.base.registry import BASELINES, DELAY_LAWS, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
+from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
 
 MOST = 2**53  # of anything that is counted
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -22,7 +22,6 @@ Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 Actuator = Literal["measured", "history"]
-PAPER, FROZEN = "bresch-pietri-krstic", "frozen"  # delay laws
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:

@@ -15,6 +15,8 @@ from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
 from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.store import Artifact, Store
+from npred.lab.training.data import shards
+from npred.lab.training.data.dataset import Dataset
 from npred.networks import weights
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
@@ -140,6 +142,15 @@ def load_data(spec: str, root: Path | None = None, overrides: list[str] | None =
         return artifact
     pipeline = config.load(defaults.pipeline(spec), overrides)
     return _last(pipeline, store, "generate", None, f"{spec}: expected data", f"npred generate {spec}").verify()
+
+
+def held_out(stored: Stored, store: Store) -> Dataset:
+    """The held-out rows of the data that a network was trained on. Raises ConfigError where the store lacks them."""
+    source = store.find(str(stored.folder)).manifest.question.inputs["generate"]
+    data = store.get("generate", source.key)
+    if data is None:
+        raise ConfigError(f"export: expected the model's data {source.key[:12]} in {store.root}, got none; generate it")
+    return shards.survey(data.verify().folder / "data.h5").subset(test=True)
 
 
 def _last(pipeline: config.Pipeline, store: Store, stage: str, model: str | None, expected: str, todo: str) -> Artifact:

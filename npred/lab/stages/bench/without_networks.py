@@ -4,7 +4,7 @@ import numpy as np
 
 from npred.base import array_checks, grid, randomness
 from npred.base.errors import ConfigError
-from npred.diagnosis.case import WITHOUT_V
+from npred.base.registry import WITHOUT_V
 from npred.lab.config import Pipeline
 from npred.lab.config.results.bench import BreakEven, Crossover
 from npred.lab.report.figures.style import short
