@@ -19,7 +19,6 @@ from npred.lab.config import Evaluate
 from npred.lab.report.terminal import interruption
 from npred.loop.controller import Controller
 from npred.loop.engine import advance_kernel
-from npred.loop.measurement import Sensors
 from npred.plants import Plant
 from npred.prediction.methods import RK4
 from npred_rig.log import CALL, OVER, SAMPLE, LogFile, truth
@@ -142,14 +141,6 @@ class DelayedPlant:
         return self._ages / (self.t - self._since) if self.t > self._since else math.nan
 
 
-def sensed(X: np.ndarray, sensors: Sensors, rng: np.random.Generator) -> np.ndarray:
-    """A sample of X (n,) with the noise, bias and resolution of npred.Measurement."""
-    Y = X * (1 + np.asarray(sensors.noise) * rng.standard_normal(X.shape))
-    Y = Y + np.asarray(sensors.absolute) * rng.standard_normal(X.shape) + np.asarray(sensors.bias)
-    step = np.broadcast_to(sensors.resolution, X.shape).astype(float)
-    return np.where(step > 0, np.round(Y / np.where(step > 0, step, 1.0)) * step, Y)
-
-
 def simulate(
     plant: Plant, table: Evaluate, U0: np.ndarray, observer: Observer | None, end: socket.socket, network: Channel,
     parent: Connection,
@@ -168,6 +159,6 @@ def simulate(
                 state.command(packet)
             X = state.to(t)
             rng = randomness.generator(network.seed, "sensors", k)
-            Y = sensed(observer.measured(X, t) if observer else X, table.measurement, rng)
+            Y = table.measurement.sampled(observer.measured(X, t) if observer else X, rng)
             link.send(t, np.concatenate([Y, [state.age - table.dt / 2], X]))
             k += 1

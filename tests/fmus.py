@@ -130,8 +130,9 @@ class InFmu:
         self.slave.freeInstance()
 
 
-def exported(controller, folder, version=3, **options):
+def exported(controller, folder, version=3, start=None, t_end=1.0, **options):
     """The path of the controller's FMU, its variables, and what the export says of it."""
     path = folder / f"controller{version}.fmu"
-    facts = exports.writer("fmu", {"fmi": version} | options)(WholeController(controller), path).facts
+    of = WholeController(controller, X0=start, t_end=t_end)
+    facts = exports.writer("fmu", {"fmi": version} | options)(of, path).facts
     return path, Written(fmu.variables(controller, np.zeros(controller.plant.n), version == 3), facts)

@@ -35,7 +35,7 @@ SLIP = 0.02  # of the noise, that twice as many steps may change
 class Settings:
     """What is free, and what is known: see `identify`."""
 
-    free: tuple[str, ...] = ()
+    free: Sequence[str] = ()
     bounds: Mapping[str, tuple[float, float]] | None = None
     longest: float | None = None
     offset: bool = False

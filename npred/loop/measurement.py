@@ -85,6 +85,13 @@ class Sensors:
         perturbed = any(np.any(getattr(self, name)) for name in PER_STATE)
         return not perturbed and self.period is None and not (self.delay or self.drop)
 
+    def sampled(self, X: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """A sample of X (n,) at its time, by another generator than that of npred/kernels/c/sensor_errors.h."""
+        Y = X * (1 + np.asarray(self.noise) * rng.standard_normal(X.shape))
+        Y = Y + np.asarray(self.absolute) * rng.standard_normal(X.shape) + np.asarray(self.bias)
+        step = np.broadcast_to(self.resolution, X.shape).astype(float)
+        return np.where(step > 0, np.round(Y / np.where(step > 0, step, 1.0)) * step, Y)
+
     def check(self, plant: "Plant", outputs: int | None = None) -> None:
         """Raise ConfigError where there is not a number for each state of the plant, or for each of its outputs."""
         count, what = (plant.n, "state") if outputs is None else (outputs, "output")

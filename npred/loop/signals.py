@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.kernels.kernel import address, prototype
-from npred.loop import clock
+from npred.loop import clock, measurement
 from npred.prediction.delays import problem
 
 C = {"float64": "double", "int64": "int64_t", "bool": "uint8_t", "int": "int"}
@@ -121,7 +121,7 @@ SETTINGS = [
     Signal("guard", ()),  # what the guard of the predictor is set to
     *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # samples; times in control steps
     *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
-    *(Signal(name, ()) for name in ("noise", "absolute", "bias", "resolution")),  # (n,), what sensors make of X
+    *(Signal(name, ()) for name in measurement.PER_STATE),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("sensing", ()),  # what an observer of the state is set to
     Signal("anew", ()),  # what it begins with where it is lost; without one the middle of the box (n,)

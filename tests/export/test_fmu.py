@@ -395,7 +395,7 @@ def test_fmpy_finds_it_valid(instance, make, version):
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_simulates_it_from_its_first_values(tmp_path, version):
-    path, _ = exported(heun(), tmp_path, version, X0=X0, t_end=0.5)
+    path, _ = exported(heun(), tmp_path, version, X0, t_end=0.5)
     result = fmpy.simulate_fmu(str(path), output=["U", "D_hat"])
     expected, u = heun(), np.zeros((21, 1))
     U = [expected.step(X0, u)[0] for _ in range(50)]

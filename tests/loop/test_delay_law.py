@@ -185,10 +185,9 @@ def test_laws_by_name_and_from_a_file(law):
 
 
 @pytest.mark.parametrize("stage", ["generate", "evaluate"])
-def test_only_another_law_than_the_papers_enters_the_key_and_by_its_file(stage, law):
+def test_a_law_enters_the_key_and_that_of_a_file_by_its_code(stage, law):
     plain, frozen, own = (question(stage, name) for name in (None, "frozen", law))
     assert question(stage, "bresch-pietri-krstic") == plain
-    assert "adaptation" not in plain[stage]
     assert frozen[stage] == plain[stage] | {"adaptation": "frozen"}
     path = Path(law.partition(":")[0])
     moved = path.rename(path.parent / "moved.py")
@@ -232,7 +231,7 @@ COMPILED = (
     LAW
     + """
     def kernel(self, plant):
-        return family.build("towards", problem.UPDATE, BODY)
+        return problem.build("towards", problem.UPDATE, BODY)
 """
 )
 COMPILED = COMPILED.replace(

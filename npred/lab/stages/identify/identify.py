@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.base.errors import ConfigError
 from npred.identification.identified import Identified
-from npred.identification.identify import Settings, of_log, recorded
+from npred.identification.identify import Reading, Settings, of_log, recorded
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.report.figures import identified as drawings
 from npred.lab.report.figures.figure import Figure, write
@@ -27,10 +27,10 @@ def run(job: Job) -> IdentifiedResult:
         raise ConfigError(
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
-    log = recorded(plant, Path(table.data), table.columns, table.scale, table.shift, table.time, table.time_unit)
-    free, seed = tuple(table.free), job.config.seed
-    asked = Settings(free, table.bounds, table.longest, table.offset, table.time_varying, table.model_error, seed)
-    identified = of_log(plant, log, asked)
+    keys = dict(table)  # those of the library have its names
+    log = recorded(plant, Path(table.data), **{key: keys[key] for key in keys.keys() & Reading.__annotations__})
+    settings = {key: keys[key] for key in keys.keys() & Settings.__dataclass_fields__}
+    identified = of_log(plant, log, Settings(**settings, seed=job.config.seed))
     drawn = _drawn(identified)
     with h5py.File(job.folder / "identified.h5", "w") as file:
         for name, values in drawn.items():
