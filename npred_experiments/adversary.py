@@ -37,7 +37,7 @@ from npred_experiments.evolution import Inputs, Progress
 if TYPE_CHECKING:
     from torch import Tensor
 
-RATE = 0.1  # of Adam, in logistic coordinates
+RATE = 0.1  # Adam's, in logistic coordinates
 PENALTY = 3.0  # more than the 1 that an error beyond the threshold brings, for it brings an estimate as large
 
 

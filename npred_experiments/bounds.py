@@ -28,9 +28,9 @@ from npred.prediction.delays.problem import by_time
 from npred_experiments.intervals import Interval, Operand, interval
 
 CELLS = 200  # that Q has at least
-SWEEPS = 2  # of the linearised equation
+SWEEPS = 2  # over the linearised equation
 TUBES, WIDER = 12, 2.0  # tried, each so many times the bound that the one before gave
-SMALLEST = 1e-12  # of the states: the radius of the first tube, at least
+SMALLEST = 1e-12  # least radius of the first tube, relative to the states
 TINY = 1e-12  # a rate that stands for 0
 DESCENT, RATE, ENOUGH = 300, 0.05, 2000  # steps of Adam that look for W, their size, and the derivatives they see
 Inputs = tuple[np.ndarray, np.ndarray, np.ndarray]

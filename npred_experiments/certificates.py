@@ -26,10 +26,10 @@ from npred_experiments import adversary
 from npred_experiments.bounds import ErrorBound
 from npred_experiments.evolution import Inputs
 
-KEPT = 1000  # of the worst inputs
-NEAR = 0.3, 3.0  # of the tolerance: where the estimate decides
+KEPT = 1000  # the worst inputs that are kept
+NEAR = 0.3, 3.0  # in tolerances: between them the estimate decides
 QUANTILES = 0.01, 0.5, 0.99
-BOUNDED = 1000  # of the rollouts: their worst samples are bounded too
+BOUNDED = 1000  # rollouts whose worst samples are bounded too
 
 
 def check(plant: Plant) -> None:

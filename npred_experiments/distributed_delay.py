@@ -17,7 +17,7 @@ from npred_experiments.experiment import Experiment, Measured, Measurements, Pub
 
 H, T, DT, U0 = math.pi / 4, 10.0, 0.01, 1.0
 START = (math.pi, math.pi / 2)
-CELLS = 160  # of h, in the loop as it is meant
+CELLS = 160  # cells of h, in the loop as it is meant
 PRINTED = {"x1(10)": "0.0392582942", "x2(10)": "-0.0211772422", "U(0+)": "-6.811116128"}
 
 
@@ -62,7 +62,7 @@ def held(cells: int) -> np.ndarray:
     dt, c, x = H / cells, np.full(cells, U0), np.array(START)
     sent: list[float] = []
     while (left := T - len(sent) * dt) > 0:
-        means = np.concatenate([c[:1], (c[:-1] + c[1:]) / 2, c[-1:]])  # of the command about each node
+        means = np.concatenate([c[:1], (c[:-1] + c[1:]) / 2, c[-1:]])  # about each node
         P = np.asarray(predictor([*x, 0.0, 1.0], means[:, None], H))[-1]
         sent.append(float(plant.kappa(P)[0]))
         x = _turned(x, sent[-1] + c[0], min(dt, left))

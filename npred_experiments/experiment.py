@@ -40,7 +40,7 @@ class TrainedForLoop(Result):
     loss: float  #: the last, of training
     mse: float  #: mean square error of P on rollouts that were held out
     eps_sup: float  #: largest error of P there
-    seconds: float  #: of training, the samples' included
+    seconds: float  #: time of training, the samples' included
     ms: float  #: milliseconds of one prediction, compiled: the median of single calls
 
 
@@ -60,7 +60,7 @@ class Reproduced(Result):
     name: str  #: the experiment
     rows: list[ReproducedRow]  #: one per predictor and metric
     trained: list[TrainedForLoop] = []  #: the networks behind the rows
-    times: list[PredictionTime] = []  #: of single predictions
+    times: list[PredictionTime] = []  #: times of single predictions
 
 
 class Measured(NamedTuple):

@@ -12,7 +12,7 @@ import npred
 from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 D, Z0, T = 1.0, (0.5, 0.3), 8.0
-STEPS = 500  # of the published loop's integration per D
+STEPS = 500  # steps per D of the published loop's integration
 
 
 def closed_form(t: np.ndarray) -> np.ndarray:

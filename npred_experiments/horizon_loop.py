@@ -14,7 +14,7 @@ from npred_experiments.horizons import DT, T, draws, inverse, late, rate
 A, B = np.array([[0.0, 1.0], [2.0, 1.0]]), np.array([0.0, 1.0])
 C, K, L = np.array([1.0, -1.0]), np.array([-4.0, -4.0]), np.array([-4.0, -8.0])
 BEFORE, GUESS = np.array([-1.0, 1.0]), np.array([5.0, -5.0])  # Z before t = 0, and ξ(0)
-NODES = 40  # of both integrals
+NODES = 40  # nodes of both integrals
 STEPS = round(T / DT)
 
 

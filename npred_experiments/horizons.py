@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 T, DT = 12.0, 0.001  # s: of the loops, and of their steps
-ITERATIONS, ROUNDING = 30, 1e-12  # of Newton's method: at most, and the step (s) after which its next is below rounding
+ITERATIONS, ROUNDING = 30, 1e-12  # Newton steps at most; the step (s) after which the next is below rounding
 
-RANGES = (0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi)  # of a, b, α, ω, φ
+RANGES = (0.1, 0.5), (0.1, 0.5), (-0.3, 0.3), (0.0, 2 * np.pi), (0.0, np.pi)  # ranges of a, b, α, ω, φ
 Delay = tuple[float, ...]  # a, b, α, ω, φ
 
 

@@ -18,7 +18,7 @@ from npred import plants
 from npred_experiments.experiment import Experiment, Measured, Measurements, PublishedNumber
 
 D0, D1, D2, T, START, DT = 0.45, 0.4, 0.5, 10.0, (1.0, 1.0), 0.0005
-DIGITS, MOST = 2e-13, 60  # of the fixed-point iteration for the command of now
+DIGITS, MOST = 2e-13, 60  # accuracy and number of fixed-point iterations for the command of now
 NEAR = 0.68 + 53.15j  # where Newton's method for the root starts
 PRINTED = {
     "P1(0)": "1.53888738890506",
@@ -80,7 +80,7 @@ def audited(dt: float = DT, t_end: float = T) -> tuple[Pair, Pair, Pair]:
     ahead, late1, late2 = (round(D / dt) for D in (D0, D1, D2))
     zero, count = (0.0, 0.0), round(t_end / dt)
     U: list[Pair] = []
-    pushes: list[tuple[float, float, float]] = []  # of the step after each time
+    pushes: list[tuple[float, float, float]] = []  # for the step after each time
     x, first = START, START
 
     def command(k: int, which: int) -> Pair:
@@ -122,7 +122,7 @@ def held(dt: float = DT, t_end: float = T) -> np.ndarray:
     first = np.zeros(4)
     for k in range(round(t_end / dt)):
         c = past[-ahead:]
-        means = np.concatenate([c[:1], (c[:-1] + c[1:]) / 2, c[-1:]])  # of the commands about each node
+        means = np.concatenate([c[:1], (c[:-1] + c[1:]) / 2, c[-1:]])  # about each node
         P = np.asarray(predictor(x, means, D0))[-1]
         u = plant.kappa(P)
         first = np.concatenate([P, u]) if k == 0 else first

@@ -28,7 +28,7 @@ from npred_experiments.experiment import Place, TrainedForLoop
 from npred_experiments.network_loop import SEED, NetworkLoop, Predict, RecordedCalls, recorded
 from npred_experiments.regression import Quadratic
 
-HELD_OUT = 0.1  # of the rollouts
+HELD_OUT = 0.1  # share of the rollouts
 CORRECTED = {"fno_gru": "FNOGRU", "deeponet_gru": "DeepONetGRU"}  # classes of pipeline/gru.py
 ROUND = 4  # a round before the last has this part of the epochs
 ROUNDS_APART = 100  # the rounds of a regression and those of a network have other runs

@@ -12,7 +12,7 @@ from npred.plants import Plant
 from npred.prediction.methods import Predictor
 from npred_experiments.experiment import Place, TrainedForLoop
 
-SEED = 2025  # of other rollouts than the published ones, which are drawn from other generators
+SEED = 2025  # gives other rollouts than the published ones, which come from other generators
 
 Predict = Callable[[np.ndarray, np.ndarray, np.ndarray, Any], np.ndarray]
 """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,) and t, as npred's Predictor.predict."""

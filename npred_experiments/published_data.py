@@ -21,13 +21,13 @@ from npred.lab.report.terminal.console import Console
 from npred.lab.training.data.dataset import Dataset, attributes
 from npred.plants import Plant
 
-CONSTANT = 1e-5  # of a quantity's largest value: what float32 leaves of an equality
-TEST_SHARE = 0.1  # of the rows or rollouts, as in [DAPF]
+CONSTANT = 1e-5  # share of a quantity's largest value: float32 keeps an equality within it
+TEST_SHARE = 0.1  # share of the rows or rollouts, as in [DAPF]
 PROBED = 400  # rows whose nearest row is looked for
 RELATIVE = 0.05  # residual over what P moves: Euler's method leaves a third of it at dx = 0.01
-START = 1e-3  # of P(0) from X, in units of the state: files in single precision round a state of 1000 by less
-CELL = 0.5  # of a cell of the grid: by how much the delay that fits best may be off
-SHUFFLED = 0.1  # of `together`
+START = 1e-3  # distance of P(0) from X: files in single precision round a state of 1000 by less
+CELL = 0.5  # in cells of the grid: by how much the delay that fits best may be off
+SHUFFLED = 0.1  # share of `together`
 
 
 def read(path: Path) -> np.ndarray:

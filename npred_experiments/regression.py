@@ -9,7 +9,7 @@ import numpy as np
 
 from npred_experiments.network_loop import RecordedCalls
 
-RIDGE = 1e-9  # of the normalised equations: columns that hang on others take no large weights
+RIDGE = 1e-9  # for the normalised equations: dependent columns take no large weights
 
 
 @dataclass(frozen=True)

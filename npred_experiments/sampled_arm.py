@@ -30,7 +30,7 @@ from npred_robots import rigid_body, xarm6
 from npred_robots.xarm6 import XArm6
 
 D, DT, STEPS, LATE, JOINTS = 0.2, 0.001, 20000, 200, 6
-NOISE, GAPS, STRONGEST, SECOND = 0.005, (20, 101), 60.0, 1000  # of 1 ms
+NOISE, GAPS, STRONGEST, SECOND = 0.005, (20, 101), 60.0, 1000  # steps of 1 ms
 OTHERS, OTHERS_STEPS, OTHERS_CALLS = 60, 12000, 170  # runs to learn from, over a period of the wave
 CELL = 20  # steps, of which a network gets the mean torque
 ROWS = ("tracking, highest", "tracking, mean of 10 to 20 s", "prediction, highest of the first second",

@@ -94,7 +94,7 @@ def _swept(X: quirks.State, speeds: np.ndarray, turns: np.ndarray, D: float) -> 
     """The last node of quirks.half_cell_short for inputs that do not depend on P, by sums: the angle first."""
     weights = np.full(NODES - 1, D * DX)
     weights[-1] /= 2
-    angles = X[2] + (D * DX) * (np.cumsum(turns[:-1], axis=0) - 0.5 * turns[:-1])  # of nodes 1, 2, …
+    angles = X[2] + (D * DX) * (np.cumsum(turns[:-1], axis=0) - 0.5 * turns[:-1])  # at nodes 1, 2, …
     before = np.concatenate([X[2][None], angles[:-1]])
     return (
         X[0] + weights @ (speeds[:-1] * np.cos(before)),

@@ -72,7 +72,7 @@ def mass_matrix(bodies: list[Body], q: Vector, M: Functions) -> Matrix:
     """M(q), (n, n), symmetric."""
     placed = [_placed(body, angle, M) for body, angle in zip(bodies, q, strict=True)]
     H: Matrix = [[0.0] * len(bodies) for _ in bodies]
-    mass, first, second = 0.0, [0.0] * 3, [[0.0] * 3 for _ in range(3)]  # of all from here on, about this origin
+    mass, first, second = 0.0, [0.0] * 3, [[0.0] * 3 for _ in range(3)]  # all bodies from here on, about this origin
     for i in reversed(range(len(bodies))):
         body, axis = bodies[i], bodies[i].axis.tolist()
         mass = mass + body.mass

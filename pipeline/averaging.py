@@ -37,7 +37,7 @@ class AveragingNetwork(nn.Module):
         constants = torch.cat([X, D_hat[:, None]], dim=1)[:, None].expand(batch, nx, -1)
         h, linear = self.lift[:-1](torch.cat([constants, u, x], dim=2)), self.lift[-1]
         for depth, layer in enumerate(self.hidden, start=1):
-            average = linear(weights @ h)[:, None]  # of v = linear(h)
+            average = linear(weights @ h)[:, None]  # the mean of v = linear(h)
             if depth == len(self.hidden):
                 h, x = h[:, ::stride], x[:, ::stride]
             h, linear = functional.silu(layer(linear(h)) + average), nn.Identity()

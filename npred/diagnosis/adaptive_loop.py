@@ -15,12 +15,12 @@ from npred.loop.trajectories import Trajectories
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4
 
-STARTS = 3  # of the box
+STARTS = 3  # starts in the box
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no experiment gives first estimates
 DELAYS = 40.0  # how long loops run at least
 MOST = 4000  # control steps in a loop, at most
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
-NEAR = 0.05  # of the box: a loop that follows a reference is kept so close, for held commands are late by dt / 2
+NEAR = 0.05  # share of the box: so near a loop follows its reference, for held commands are late by dt / 2
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
 # Nodes of the predictor at most, and control steps in a delay, where they are not given or would be too many.
 TRACED, UNTRACED = (31, 50), (11, 10)  # an f that runs in Python is slow

@@ -24,16 +24,16 @@ from npred.plants.base import Plant, require
 
 SEARCHED = 10.0  # times D plus the loop's slowest time constant: D_hat is looked at up to there
 FIRST, LEAST, LONGER = 1e-2, 1e-3, 1.5  # the first and the shortest step of D_hat, in D; how much a next one may grow
-SHARE = 0.5  # of the distance from I - T to a singular matrix: a step of D_hat changes T by less
-TOLERANCE = 1e-9  # of D: the margin's
+SHARE = 0.5  # share of the distance from I - T to a singular matrix: a step of D_hat changes T by less
+TOLERANCE = 1e-9  # error of the margin relative to D
 GROWTH = 3 / np.pi  # a step to the left multiplies T by e to that, at most: far left it is too large to follow
-FIRST_C, NEAR = 0.1 / np.pi, 1e-6  # of the slowest rate: a first step in c, which meets no eigenvalue; and the last
+FIRST_C, NEAR = 0.1 / np.pi, 1e-6  # shares of the slowest rate: the first step in c, without an eigenvalue; the last
 QUIET = 0.5  # frequencies end where |T| stays below
 HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
 PHASE = 0.2  # rad, by which the delays turn T between two frequencies
 AROUND = np.sinh(np.linspace(-6.0, 6.0, 41))  # times the damping of a pole: frequencies around it
 TURN, HALVINGS = 0.5, 40  # rad between two points of the Nyquist curve; how often frequencies are halved for that
-POINTS = 16  # of Gauss-Legendre, and one more per radian of an integrand
+POINTS = 16  # points of Gauss-Legendre, and one more per radian of an integrand
 
 
 def delay_margin(plant: Plant, D: float) -> tuple[float, float]:

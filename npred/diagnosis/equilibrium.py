@@ -23,15 +23,15 @@ HORIZON = 100.0  # s, over which a reference and its loops are looked at where n
 SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate
 STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast, long against rounding
 LOOPS = 64  # starts, of the states of the box
-STEP = 0.5  # of a step of RK4, times the fastest rate on the box
+STEP = 0.5  # a step of RK4, times the fastest rate on the box
 MOST = 20_000  # steps
 SPAN = 30.0  # time constants of the slowest rate at the equilibrium
-HOME = 0.01  # of the box: this close to its target a loop has converged
+HOME = 0.01  # share of the box: this close to its target a loop has converged
 FALLING = 0.9  # a loop that still converges is this much closer in the last quarter than in the second
-NEAR = 0.01  # of the box, around rest: loops come there from all sides, whichever side the box is on
+NEAR = 0.01  # share of the box, around rest: loops come there from all sides, whichever side the box is on
 DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
 ROUNDING, DIFFERENCES = 1e-9, 1e-6  # relative: what of S and of a rest is rounding, and where f_X is a difference
-SAME = 1e-3  # of its largest value: this close to x'Sx a V is taken for it
+SAME = 1e-3  # share of its largest value: this close to x'Sx a V is taken for it
 
 
 def equilibrium(case: Case) -> Verdict:

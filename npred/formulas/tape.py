@@ -17,7 +17,7 @@ from npred.base.errors import unlisted
 from npred.formulas import Value, ldl
 
 Vector = Sequence[Value] | np.ndarray
-Arguments = tuple[Any, ...]  # of an operation: symbols and numbers, and of some the name of an input or function
+Arguments = tuple[Any, ...]  # an operation's: symbols and numbers, and for some the name of an input or function
 
 
 @dataclass(frozen=True)

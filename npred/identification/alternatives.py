@@ -13,10 +13,10 @@ from npred.identification.estimate import Delays
 from npred.identification.fit import Prior, Problem, SegmentFit, better
 from npred.identification.log import Segments, mean_square, spread
 
-NONE = 1e-9  # of the samples' period: a lag that is none
+NONE = 1e-9  # in sampling periods: a shorter lag is none
 HELD_BACK = 0.25
 DECIDING = 8000  # samples, by which models are compared
-SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # of the delay, as a lag
+SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # lags to try, as shares of the delay
 
 
 @dataclass(frozen=True)

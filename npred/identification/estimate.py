@@ -13,9 +13,9 @@ from npred.plants import Plant
 
 COARSE = 2500  # samples of the first scan
 PLACES = 8  # local minima of it that are looked at again
-TETHER = 0.3  # of its value: how far a free parameter goes in the first scan, where the delay is still wrong
+TETHER = 0.3  # how far, relatively, a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
-FINEST = 2e-3  # of the sampling period
+FINEST = 2e-3  # in sampling periods
 SEARCHED = 15000  # samples by which the least cost is searched first
 DRAWS = 400
 SHARES = 0.025, 0.975

@@ -14,11 +14,11 @@ import numpy as np
 from npred.identification.log import Pieces, Segments, mean_square
 from npred.identification.model import RolloutModel
 
-RIDGE = 1e-12  # of the largest element: states that nothing measures stay where they are
+RIDGE = 1e-12  # share of the largest element: states that nothing measures stay where they are
 HALVINGS = 5
 BLOCK = 64  # commands
-MOST = 25.0  # of chi², that a segment may say
-CLEAR = 10.8  # of chi² with one degree of freedom at 99.9 %
+MOST = 25.0  # the most chi² that a segment may add
+CLEAR = 10.8  # chi² with one degree of freedom at 99.9 %
 NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
 
 

@@ -11,7 +11,7 @@ from npred.identification.alternatives import Alternative
 from npred.identification.estimate import Parameter
 from npred.plants import Plant
 
-CERTAIN = 0.5  # of the range of delays: a wider interval says nothing
+CERTAIN = 0.5  # share of the range of delays: a wider interval says nothing
 ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else
 
 

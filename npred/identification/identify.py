@@ -26,9 +26,9 @@ MODEL_ERROR = 0.05
 GAP = 20  # periods without a sample end a segment
 RANGE = 5, 400  # by default delays up to a fifth of the log are tried, and up to so many periods
 PARTS, ROWS = 30, (8, 200)  # a segment is this part of the log, with so many samples at least and at most
-GROWTH = 30.0  # of an error in a segment
+GROWTH = 30.0  # the largest growth of an error in a segment
 FINEST = 64  # steps of RK4 in a piece
-SLIP = 0.02  # of the noise, that twice as many steps may change
+SLIP = 0.02  # share of the noise that twice as many steps may change
 
 
 @dataclass(frozen=True)

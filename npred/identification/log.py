@@ -53,7 +53,7 @@ class Log:
         for column, series in zip(columns.T, every, strict=True):
             if series:
                 order = np.argsort(series[0], kind="stable")
-                column[np.searchsorted(t, series[0][order])] = series[1][order]  # of one stamp the last one counts
+                column[np.searchsorted(t, series[0][order])] = series[1][order]  # for one stamp the last sample counts
         return cls.of(t, columns[:, : len(inputs)], columns[:, len(inputs) :])
 
     @cached_property

@@ -22,7 +22,7 @@ from npred.plants import Plant
 from npred.prediction.methods.runge_kutta import RK4
 
 ROLLOUT = "k, X, held, spans, moments, p, &P"
-STEP = 1e-6  # of a difference, relative
+STEP = 1e-6  # relative step of a difference
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class RolloutModel:
     plant: Plant
     free: tuple[int, ...]
     lag: bool = False
-    steps: int = 1  # of RK4 in a piece
+    steps: int = 1  # RK4's steps in a piece
 
     def parameters(self, theta: np.ndarray) -> np.ndarray:
         """The plant's parameters and the offsets, with theta in place."""

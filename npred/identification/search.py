@@ -11,7 +11,7 @@ import numpy as np
 from npred.identification.fit import SegmentFit
 
 At = Callable[[np.ndarray, SegmentFit | None], SegmentFit]  # the fit at some coordinates, from another one
-LEVEL = 3.84  # of chi² with one degree of freedom at 95 %
+LEVEL = 3.84  # chi² with one degree of freedom at 95 %
 FAR = 60.0  # above the least cost a profile may end
 GROWTH = 1.35
 

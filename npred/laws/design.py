@@ -15,10 +15,10 @@ from npred.plants.base import REST, Plant, require
 
 SAMPLES = 256  # states of the box
 SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them
-STEPS, SHORTEST = 100, 1e-6  # of the search for a point of rest, and the shortest share of a step
-STARTS, ROUGH, NEAR, DECIMALS = 16, 1e-3, 1e-7, 6  # of the search for the nearest, in half widths of the box
-MATCHED = 1e-6  # of the largest rate: less of the rates than this may be out of reach of the inputs
-ZERO = 1e-9  # of a derivative's size over the box: below it an input does not act
+STEPS, SHORTEST = 100, 1e-6  # steps of the search for a point of rest; the shortest share of one
+STARTS, ROUGH, NEAR, DECIMALS = 16, 1e-3, 1e-7, 6  # for the search of the nearest, in half widths of the box
+MATCHED = 1e-6  # share of the largest rate that may be out of reach of the inputs
+ZERO = 1e-9  # share of a derivative's size over the box: below it an input does not act
 SLOW = 1e-6  # 1/s: rates below are those of integrators, which rounding moves off 0
 
 

@@ -12,8 +12,8 @@ from npred.formulas.tape import FUNCTIONS, OPS, Functions, Vector, names
 from npred.formulas.trace import Trace
 from npred.plants.base import Plant
 
-DIGITS = 8  # of a gain: more would differ between libraries of linear algebra, and results are keyed by them
-SMALL = 1e-9  # of a law's largest term: rounding
+DIGITS = 8  # digits of a gain: more differ between libraries of linear algebra, and gains enter keys
+SMALL = 1e-9  # share of a law's largest term that is rounding
 TEXTS = {
     name: f"M.{name}({', '.join(f'{{{k}}}' for k in range(op.text.count('{')))})"
     for name, op in OPS.items()

@@ -19,12 +19,12 @@ from npred.laws.law import Law, rounded, written
 from npred.laws.regulator import along, gains
 from npred.plants.base import Plant
 
-REGULAR = 1e-6  # of the largest determinant over the box: below it the decoupling matrix is singular somewhere
+REGULAR = 1e-6  # share of the largest determinant over the box: below it the decoupling matrix is singular
 TRIES = 20  # random choices of the free parameters of several inputs, of which the best conditioned is taken
-ACCURATE = 1e-4  # of a coefficient of the polynomial of the poles, whose scale is 1 + the largest of them
+ACCURATE = 1e-4  # error of a coefficient of the poles' polynomial, relative to 1 + the largest
 MOST = 5000  # combinations of states that are tried as outputs
 
-OutputMap = Callable[[Vector, Value], Value]  # of the components of x, and t
+OutputMap = Callable[[Vector, Value], Value]  # its arguments: the components of x, and t
 Output = Callable[..., Any] | str | Sequence[str]
 
 
@@ -217,7 +217,7 @@ def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] 
     for chain, output, own_poles in zip(chains, outputs, np.split(values, np.cumsum(degrees)[:-1]), strict=True):
         if not np.allclose(np.poly(own_poles).imag, 0):
             raise design.refusal(f"complex poles in pairs for an output of degree {len(own_poles)}", "order them")
-        coefficients = rounded(np.poly(own_poles).real[:0:-1])  # of 1, s, …
+        coefficients = rounded(np.poly(own_poles).real[:0:-1])  # coefficients of 1, s, …
         *goals, highest = _goals(design, output, len(own_poles))
         pull = highest - chain.last
         for k, y, goal in zip(coefficients, chain.derivatives, goals, strict=True):

@@ -10,9 +10,9 @@ from npred.laws.design import Design
 from npred.laws.law import Law, linear, rounded, written
 from npred.plants.base import Plant
 
-STEPS = 100  # of Newton's method for the sign of a matrix, which doubles its digits in each
+STEPS = 100  # Newton steps for the sign of a matrix; each doubles the number of right digits
 CLOSE = 1e-13  # the relative change at which it ends
-SAME = 1e-9  # of the largest singular value: below it a rank is lost
+SAME = 1e-9  # share of the largest singular value: below it a rank is lost
 
 
 def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:

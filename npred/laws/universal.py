@@ -15,8 +15,8 @@ from npred.laws.regulator import gains
 from npred.plants.base import Plant
 
 LQR = "lqr"  # the V of the regulator's Riccati equation
-SMOOTH = 1e-6  # of the usual |a, b| on the box: where the formula passes into the linear law
-DOUBLINGS = 40  # of the linear law's gain
+SMOOTH = 1e-6  # share of the usual (a, b) on the box: where the formula passes into the linear law
+DOUBLINGS = 40  # the most doublings of the linear law's gain
 
 
 def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:

@@ -16,7 +16,7 @@ from npred.formulas.tape import Functions, names
 from npred.formulas.trace import Trace, python
 from npred.plants import declaration as declared
 
-REST = 1e-9  # of max(1, |X|): below this residual X rests
+REST = 1e-9  # residual relative to max(1, |X|), below which X rests
 
 
 class Plant(InNotebook):

@@ -16,10 +16,10 @@ from npred.formulas.declared import RETURNS, Components, failure, parameters
 from npred.formulas.tape import Functions
 from npred.plants.base import Plant
 
-STEP = 6e-6  # of a central difference: the cube root of the machine epsilon balances rounding and the third derivative
+STEP = 6e-6  # step of a central difference: the cube root of the machine epsilon balances its two errors
 UNDEFINED = (ArithmeticError, ValueError)  # where arrays give NaN Python's floats raise these: overflow, a domain
 Map = Callable[[np.ndarray], np.ndarray]
-Argument = Any  # of a declared function: rows, a time, or the parameters
+Argument = Any  # an argument of a declared function: rows, a time, or the parameters
 TIMES = (0.0, 0.37, 1.93)  # at which functions are compared to see whether they depend on time
 
 

@@ -27,7 +27,7 @@ def expected(words: str, cure: str, condition: Callable[[Any], bool] = lambda va
             if condition(checked):
                 return checked
         except ValidationError as error:
-            if error.errors()[0]["loc"]:  # of an item
+            if error.errors()[0]["loc"]:  # an item's error
                 raise
         raise ValueError(f"expected {words}, got {value!r}; {cure}")
 

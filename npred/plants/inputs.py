@@ -12,7 +12,7 @@ from npred.base.errors import ConfigError, unlisted
 from npred.plants.base import Plant
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
-ROUNDING = 1e-9  # of an input: this close to a bound it is on it
+ROUNDING = 1e-9  # share of an input: this close to a bound it is on it
 SPARE = 10.0  # times the largest |kappa| on the box, which loops leave in their transients
 DRAWN, SPAN, MOMENTS = 1024, 100.0, 16  # states of the box, seconds of a law that depends on time, and times in them
 
@@ -79,7 +79,7 @@ class Past:
             return constant
         if callable(self.course):
             return np.stack([self._at((k + 0.5) * dt) for k in range(-count, 0)])[:, :, None] + 0.0 * constant
-        edges = np.arange(-count, 1)[:, None] * dt  # of the control steps
+        edges = np.arange(-count, 1)[:, None] * dt  # ends of the control steps
         position = len(self.course) * (1.0 + edges / np.maximum(self.span, np.finfo(float).tiny))  # in rows, (., B)
         row = np.clip(np.floor(position).astype(int), 0, len(self.course) - 1)
         sums = np.concatenate([np.zeros((1, self.course.shape[1])), np.cumsum(self.course, axis=0)])

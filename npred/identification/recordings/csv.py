@@ -46,7 +46,7 @@ class Csv:
         self.units = {unit[1]: unit[2] or unit[3] or "" for unit in units if unit and often[unit[1]] == 1}
         body = ("" if line.lstrip().startswith("#") else line for line in lines[begin:])
         reader = csv.reader(body, delimiter=separator, skipinitialspace=True)
-        self.numbers, rows, width = list[int](), list[list[str]](), len(self.cells)  # of lines, and their cells
+        self.numbers, rows, width = list[int](), list[list[str]](), len(self.cells)  # numbers of lines, and their cells
         try:
             for row in reader:
                 if any(row):

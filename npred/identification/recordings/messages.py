@@ -23,9 +23,9 @@ STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
 STAMPS = (("header", "stamp"), ("timestamp",))
 PARTS = (("sec", "secs"), ("nanosec", "nsec", "nsecs"))
 ONE_CLOCK = 60 * 10**9  # ns; stamps that are further from the log are of another clock, as that of a simulation
-ELEMENTS = 32  # of an array that are listed
+ELEMENTS = 32  # elements of an array that are listed
 Steps = tuple[str | int, ...]
-Columns = Sequence[Sequence[Any]]  # of one topic: times of the log in ns, moments, then its fields
+Columns = Sequence[Sequence[Any]]  # one topic: times of the log in ns, moments, then its fields
 
 
 class Bag(NamedTuple):

@@ -70,8 +70,8 @@ class LoopTable(Section):
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
     gamma: Positive | None = None  #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D
     b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
-    bounds: Range = (0.1, 4.0)  #: of D_hat; by default 0.1 D to 4 D
-    input_bounds: list[Bounds] | None = None  #: of U, a pair per input; by default the plant's
+    bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D
+    input_bounds: list[Bounds] | None = None  #: the range of U, a pair per input; by default the plant's
     #: the input before t = 0: numbers, "equilibrium", "law" (κ of the start), or rows over [-D, 0], the oldest first;
     #: by default 0 if input_bounds allow it, else "equilibrium"
     u0: StartInput | None = None

@@ -13,7 +13,7 @@ from npred.lab.config.loop import LoopTable
 from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
 
-NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # of a pipeline
+NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # a pipeline's name
 
 
 class Generate(LoopTable):
@@ -74,7 +74,7 @@ class Bench(Section):
     dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
     calls: Count = 20_000  #: timed calls of a predictor
     seconds: Positive = 1.0  #: longest time of a predictor
-    threads: Count = 1  #: of each library
+    threads: Count = 1  #: threads of each library
     batches: Some[Count] = [1, 1024]  #: rows per call
     runtimes: Some[Runtime] = ["torch", "fused", "onnx"]  #: ways to evaluate a network; also `file.py:Class`
     #: predictors in Python to compare with, `file.py:Class`; timed at batch 1
@@ -110,7 +110,7 @@ class _Tables(Section):
     """The plant, and one table per stage."""
 
     name: str = "pipeline"  #: in results
-    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: of all random numbers
+    seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: seed of all random numbers
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, float] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 from npred.base import registry
 from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
 
-MOST = 2**53  # of anything that is counted
+MOST = 2**53  # the largest count that a key takes
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 Delay = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
 Count = Annotated[int, Field(ge=1, le=MOST, strict=True)]

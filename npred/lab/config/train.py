@@ -20,9 +20,9 @@ class Training(Section):
     eps: Positive | None = None  #: training ends at this largest held-out error of P
     batch: Count = 1024  #: rows per step
     lr: Positive = 1e-2  #: learning rate, at its peak
-    weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: of the weights, towards 0
+    weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: decay of the weights towards 0
     optimiser: Literal["soap", "adam"] = "soap"  #: SOAP or Adam
-    schedule: Literal["one-cycle", "step"] = "one-cycle"  #: of the learning rate; step halves it every 50 epochs
+    schedule: Literal["one-cycle", "step"] = "one-cycle"  #: the learning rate's course; step halves it every 50 epochs
     loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: weights of components; kappa: by their effect on U
     rows: Literal["square", "norm"] = "norm"  #: mean over rows of squares or norms
     nodes: Nodes | None = None  #: number of nodes on which P is compared; all by default
@@ -56,7 +56,7 @@ class Training(Section):
 class DeepONet(Training):
     """Branch network of `depth` hidden layers, trunk of two; `basis` trunk functions; `moments` of u."""
 
-    width: Count = 96  #: of the branch network
+    width: Count = 96  #: width of the branch network
     depth: Count = 4  #: hidden layers of the branch
     basis: Count = 48  #: trunk functions
     trunk: Count = 64  #: width of the trunk network

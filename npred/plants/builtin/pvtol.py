@@ -39,7 +39,7 @@ class PVTOL:
         cos, slope, k = M.cos(x.theta), M.tan(x.theta), p.k
         climb = -k * k * b - 2 * k * b_rate
         slope_rate = x.omega / cos**2
-        bend = k**4 * a + 4 * k**3 * a_rate - 6 * k**2 * slope - 4 * k * slope_rate  # of the slope
+        bend = k**4 * a + 4 * k**3 * a_rate - 6 * k**2 * slope - 4 * k * slope_rate  # the slope's second derivative
         return [(1 + climb) / cos + p.epsilon * x.omega**2, bend * cos**2 - 2 * x.omega**2 * slope]
 
     @staticmethod

@@ -32,7 +32,7 @@ class TransportTank:
     @staticmethod
     def kappa(x, t, p, M):
         """The law without delay."""
-        minutes = p.A * x.h / (p.a * _speed(x, p, M))  # of feed in the tank
+        minutes = p.A * x.h / (p.a * _speed(x, p, M))  # minutes of feed in the tank
         return [x.T - minutes * (p.s * x.T + p.c * (x.T - p.T_set))]
 
     @staticmethod

@@ -132,7 +132,7 @@ def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:
 
 NUMERICAL, NO_ADAPTATION = PredictorId("numerical"), PredictorId("no_adaptation")
 Name = Annotated[PredictorId, BeforeValidator(PredictorId.parse), PlainSerializer(lambda c: c.name, return_type=str)]
-RANKED = AfterValidator(_by_ranked)  # of a table by Name
+RANKED = AfterValidator(_by_ranked)  # for a table by Name
 
 
 class Generated(Result):
@@ -161,7 +161,7 @@ class Reported(Result):
     """The page."""
 
     summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
-    bytes: int  #: of the page
+    bytes: int  #: size of the page
 
 
 class IdentifiedResult(Result):
@@ -170,10 +170,10 @@ class IdentifiedResult(Result):
     plant: str  #: its name
     inputs: list[str]  #: its inputs, in the order of D
     D: list[float]  #: the delay of each input
-    interval: list[tuple[float, float]]  #: of each delay, 95 %
+    interval: list[tuple[float, float]]  #: 95 % interval of each delay
     identifiable: list[bool]  #: whether the recording determines the delay
     parameters: dict[str, float]  #: the estimated ones
-    parameter_intervals: dict[str, tuple[Number, Number]]  #: of each parameter, 95 %
+    parameter_intervals: dict[str, tuple[Number, Number]]  #: 95 % interval of each parameter
     #: rms error of predictions on the last quarter: `model`, `no_delay`, `first_order_lag`
     held_back: dict[str, Number]
     sentences: list[str]  #: the result in words
@@ -210,7 +210,7 @@ class Tuned(Result):
     training: JudgedLoops  #: from the starts of the search
     held_out: JudgedLoops  #: from others
     gain: float  #: 1 - cost after / cost before on the held-out starts
-    interval: tuple[float, float]  #: of the gain with 95 %: bootstrap over the held-out initial states, in pairs
+    interval: tuple[float, float]  #: 95 % interval of the gain: bootstrap over the held-out initial states, in pairs
     margin: float  #: least gain that counts
     gained: bool  #: the gain reaches the margin, and its interval is above 0
     evaluations: int  #: settings that were tried

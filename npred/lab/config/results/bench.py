@@ -87,11 +87,11 @@ class Hardware(Result):
     """The machine that was timed."""
 
     cpu: str  #: the processor
-    cores: int  #: of this process
+    cores: int  #: cores that this process may use
     device: str  #: `cpu` or `cuda`
     gpus: list[str] = []  #: by name, on CUDA
-    threads: int  #: of torch
-    versions: dict[str, str | None]  #: of Python and of the packages
+    threads: int  #: torch's threads
+    versions: dict[str, str | None]  #: versions of Python and of the packages
 
 
 class Benched(Result):

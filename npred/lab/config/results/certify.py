@@ -16,7 +16,7 @@ class Certificate(Result):
     rollouts: int  #: how many
     samples: int | None = None  #: random times of each rollout
     median: Number  #: the median over the rollouts
-    tolerance: float  #: of the guard, in units of U
+    tolerance: float  #: the guard's, in units of U
     fallback_rollouts: float  #: share of the rollouts' samples with a numerical answer
     lost: int  #: loops that the network loses and the numerical predictor keeps
     lost_guarded: int  #: the same for the guarded network
@@ -25,11 +25,11 @@ class Certificate(Result):
     fallback: float  #: share of the guarded loops' steps with a numerical answer
     adversarial: Number | None = None  #: the largest error of U that the search found; `null` without a search
     adversarial_median: Number | None = None  #: the median over the calls of the search
-    calls: int | None = None  #: of the search
+    calls: int | None = None  #: calls that the search made
     above: int | None = None  #: calls with an error above the tolerance
-    unnoticed: int | None = None  #: of these, passed by the guard
+    unnoticed: int | None = None  #: those of them that the guard passed
     blind_calls: int | None = None  #: calls of the search for errors that the guard lets pass
-    blind: int | None = None  #: of these, passed with an error above the tolerance
+    blind: int | None = None  #: those of them that passed with an error above the tolerance
     blind_error: Number | None = None  #: the largest error that passed
     #: estimate over true error, for errors of 0.3 to 3 tolerances, at 1 %, 50 % and 99 %
     ratio: list[float] = []
@@ -43,5 +43,5 @@ class Certified(Result):
 
     plant: str  #: its name
     loops: int  #: loops from fresh starts
-    lost_numerical: int  #: of these, lost by the numerical predictor
+    lost_numerical: int  #: those of them that the numerical predictor loses
     models: Annotated[dict[Name, Certificate], RANKED]  #: by network

@@ -67,7 +67,7 @@ class DelayMap(Result):
     D: list[float]  #: true delays, in seconds
     D_hat0: list[float]  #: first estimates, in seconds
     converged: list[list[bool]]  #: one row per D
-    share: float  #: of the numerical predictor's converging loops
+    share: float  #: share of the numerical predictor's converging loops
     band: tuple[float, float] | None  #: range of D without a lost loop; `null` for none
 
 
@@ -97,7 +97,7 @@ class Scores(Errors):
     figure1_bounded: LoopEnd | None = None  #: the same with U within `figure_bounds`; `null` without them
     #: share of its loops' steps with a numerical answer; `null` without a guard
     fallback: float | None = None
-    limits: Limits | None = None  #: of a plant that declares `safe`
+    limits: Limits | None = None  #: for a plant that declares `safe`
 
 
 class KindSize(Result):
@@ -132,12 +132,12 @@ class Behaviour(Result):
     #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
     #: that radii are relative to
     lost: int
-    overtaking: int = 0  #: of these, loops whose commands overtake each other
+    overtaking: int = 0  #: those of them whose commands overtake each other
     #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` without an estimate
     D_error: float | None
     #: share of the steps with a numerical answer; `null` without a guard
     fallback: float | None = None
-    limits: Limits | None = None  #: of a plant that declares `safe`
+    limits: Limits | None = None  #: for a plant that declares `safe`
 
 
 class Conditions(Result):

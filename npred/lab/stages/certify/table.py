@@ -13,7 +13,7 @@ class Certify(Section):
     """
 
     probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 1e-3  #: share of rollouts with a larger error
-    confidence: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.999  #: of that statement
+    confidence: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.999  #: confidence of that statement
     samples: Count = 50  #: random times of each rollout
     restarts: Count = 500  #: searches for large errors …
     steps: Count = 200  #: … with this number of calls each

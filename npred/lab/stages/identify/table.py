@@ -18,7 +18,7 @@ class Identify(Section):
     scale: dict[str, float] = {}  #: factor of a column, to the plant's unit
     shift: dict[str, float] = {}  #: then added to the column
     free: list[str] = []  #: parameters to estimate
-    bounds: dict[str, Span] = {}  #: of these parameters
+    bounds: dict[str, Span] = {}  #: ranges of these parameters
     longest: Positive | None = None  #: longest delay to try; by default a fifth of the recording
     offset: bool = False  #: estimate a constant offset of each input
     time_varying: bool = False  #: also estimate delays over windows of time
