@@ -86,7 +86,7 @@ def published_loop(
     steps: int = STEPS,
     predict: Predict | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """X (steps, 2) and D_hat (steps,) of the loop as coded; other f and slopes show what each error does.
+    """X (steps, 2) and D_hat (steps,) of the loop as coded; other f and slopes show the effect of each error.
 
     Another predictor may replace the published rule.
     """

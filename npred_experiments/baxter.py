@@ -71,7 +71,7 @@ def _frames(q: np.ndarray) -> list[np.ndarray]:
 
 
 def _link(i: int) -> np.ndarray:
-    """What follows the turn of joint i: along z and x, then the twist about x."""
+    """The transform behind the turn of joint i: along z and x, then the twist about x."""
     link, (d, a, alpha) = np.eye(4), TABLE[i][1:4]
     sin, cos = np.sin(alpha), np.cos(alpha)
     link[1:3, 1:3] = [[cos, -sin], [sin, cos]]

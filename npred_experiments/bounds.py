@@ -38,7 +38,7 @@ MEMORY, TINY_SLOPE = (0.9, 0.999), 1e-8  # Adam's, of the mean slope and of its 
 
 
 def bound(guarded: Guarded, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0) -> np.ndarray:
-    """A bound of what `guarded.error` estimates, (...), in NumPy; infinite where none is found.
+    """A bound of the error that `guarded.error` estimates, (...), in NumPy; infinite where none is found.
 
     Raises ConfigError for a plant that is not traced, or has not one constant delay.
     """

@@ -1,4 +1,4 @@
-"""What a certificate says of searches: an adversary's, for errors and for blind spots of the guard, and of the bound.
+"""A certificate's part about searches: an adversary's, for errors and for blind spots of the guard, and of the bound.
 
 `npred certify` takes it from here, by the entry point group `npred.certificates`.
 """
@@ -72,7 +72,7 @@ def search(job: Job, data: Dataset, network: Predictor) -> tuple[Calls, np.ndarr
 
 
 def blind_spots(job: Job, data: Dataset, guard: Guarded, exact: Predictor) -> dict[str, Any]:
-    """What a search for blind spots finds that the guard lets pass."""
+    """The calls of a search for blind spots that the guard lets pass."""
     table, inputs = job.config.optional("certify"), Inputs.of(data, box(job.plant, job.config.generate), job.plant)
     with job.progress.bar(f"blind spots of {guard.name}", table.restarts * table.steps, "calls") as bar:
         calls, _ = adversary.blind_spots(guard, exact, data, inputs, table, job.config.seed, bar.advance)
@@ -93,7 +93,7 @@ def bounded(guard: Guarded, fresh: Rollouts) -> dict[str, Any]:
 
 
 def judged(guard: Guarded, exact: Predictor, inputs: Calls) -> dict[str, Any]:
-    """What the guard makes of an adversary's calls. The error is that against the predictor that falls back."""
+    """The guard's verdict on an adversary's calls. The error is that against the predictor that falls back."""
     true, estimates, passed = rollouts.judged(guard, exact, *inputs)
     above = true > guard.tolerance
     near = (true > NEAR[0] * guard.tolerance) & (true < NEAR[1] * guard.tolerance)

@@ -1,4 +1,4 @@
-"""A published experiment: what was printed, functions that measure it again, and the rows that they give.
+"""A published experiment: its printed numbers, functions that measure it again, and the rows that they give.
 
 A package registers one by an entry point of the group `npred.experiments`.
 """
@@ -86,14 +86,14 @@ class PublishedNumber(NamedTuple):
         return float(self.digits) if self.digits else None
 
     def row(self, measured: Measured = NOTHING) -> ReproducedRow:
-        """The number and what was measured; None for a loop that has left the finite numbers."""
+        """The number and the measured one; None for a loop that has left the finite numbers."""
         pairs = measured._asdict().items()
         values = {key: value if value is not None and math.isfinite(value) else None for key, value in pairs}
         return ReproducedRow(predictor=self.predictor, metric=self.metric, published=self.value, **values)
 
 
 class PublishedTime(NamedTuple):
-    """The milliseconds of one prediction as printed, and of what: `100 steps`, say."""
+    """The milliseconds of one prediction as printed, and its method: `100 steps`, say."""
 
     predictor: str
     setting: str
@@ -134,7 +134,7 @@ class Experiment:
 
     @property
     def parts(self) -> list[str]:
-        """What is measured apart from each other, each a result in the store."""
+        """The parts that are measured apart from each other, each a result in the store."""
         networks = dict.fromkeys(row.predictor for row in self.networks) if self.train else ()
         return [NUMERICAL, *([TIMES] if self.clock else []), *networks]
 

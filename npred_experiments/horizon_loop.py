@@ -108,7 +108,7 @@ def _decay(s: np.ndarray) -> np.ndarray:
 
 
 def astray(t: np.ndarray) -> np.ndarray:
-    """K (Z(ρ(t)) - P(t)): what the observer's error makes of the command, carried from φ2(t) to ρ(t)."""
+    """K (Z(ρ(t)) - P(t)): the effect of the observer's error on the command, carried from φ2(t) to ρ(t)."""
     first, second = draws()
     return ((flow(inverse(first, t) - late(second, t)) @ error(t)[..., None])[..., 0]) @ K
 

@@ -52,7 +52,7 @@ def law(P: Pair) -> Pair:
 
 
 def force(u1: float, u2: float) -> float:
-    """What the commands add to x2'."""
+    """The commands' share of x2'."""
     return u1 + math.tanh(u1) + math.sin(u2)
 
 

@@ -100,7 +100,7 @@ def _tan(a: Interval) -> Interval:
 
 
 def _where(condition: Interval, a: Interval, b: Interval) -> Interval:
-    """a where the condition holds for all, b where for none, else what holds both."""
+    """a where the condition holds for all, b where for none, else the hull of both."""
     always, never = condition.low > 0, condition.high <= 0
     low = np.where(always, a.low, np.where(never, b.low, np.minimum(a.low, b.low)))
     return Interval(low, np.where(always, a.high, np.where(never, b.high, np.maximum(a.high, b.high))))

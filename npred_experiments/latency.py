@@ -27,7 +27,7 @@ METHODS: Methods = {
 
 
 class PredictorInputs(NamedTuple):
-    """What predictors are called with: X (N, n), u (N, nx, m), D_hat (N,), t (N,), in double precision."""
+    """The calls of predictors: X (N, n), u (N, nx, m), D_hat (N,), t (N,), in double precision."""
 
     X: np.ndarray
     u: np.ndarray

@@ -57,7 +57,7 @@ def answers(loop: NetworkLoop, operator: Operator, regression: Quadratic | None 
 
 @lru_cache(maxsize=2)  # both loops of an experiment: all its networks begin with the same
 def first_data(loop: NetworkLoop) -> tuple[RecordedCalls, Quadratic | None]:
-    """What a network learns from before its own rounds, and the regression whose rest it learns, with its rounds."""
+    """The data of a network before its own rounds, and the regression whose rest it learns, with its rounds."""
     samples = recorded(loop)
     regression = Quadratic.of(samples) if loop.quadratic else None
     if regression:
@@ -94,7 +94,7 @@ class LoopTraining:
         return metrics, rows
 
     def title(self, loop: str) -> str:
-        """What progress calls the training for a loop."""
+        """The name of the training for a loop in progress lines."""
         return f"{self.experiment} {self.network}, {loop}"
 
     def _network(self, name: str, loop: NetworkLoop, sizes: Mapping[str, Any]) -> "LearnedNetwork":
@@ -133,7 +133,7 @@ class LoopTraining:
         return training_loop.fit(replace(fit, config=config), scratch, self.place.progress)[-1]
 
     def _operator(self, table: Table, plant: Plant, train: RecordedCalls) -> Operator:
-        """A network to train, with the scales of what it learns."""
+        """A network to train, with the scales of its outputs."""
         with SEEDING, torch.random.fork_rng(devices=[]):
             torch.manual_seed(randomness.integer(SEED, "train", self.network))
             return checked(table, plant, Scaling.of(train))

@@ -132,7 +132,7 @@ class Recorder:
 
 
 def recorded(loop: NetworkLoop, learned: Predict | None = None, turn: int = 0) -> RecordedCalls:
-    """What a network learns from: `kept` calls of each rollout; those of another `turn` are other rollouts."""
+    """The training data of a network: `kept` calls of each rollout; those of another `turn` are other rollouts."""
     rng = randomness.generator(SEED, "reproduce", *([turn] if turn else []))
     recorder = Recorder(loop, rng, learned)
     loop.explore(recorder, rng)

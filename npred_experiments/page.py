@@ -1,4 +1,4 @@
-"""Published experiments as one page, and as Markdown: what was published beside what was measured."""
+"""Published experiments as one page, and as Markdown: published numbers beside measured ones."""
 
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
@@ -80,7 +80,7 @@ def markdown(results: Sequence[Reproduced]) -> str:
 
 
 def summary(results: Sequence[Reproduced]) -> list[str]:
-    """What came out, in at most three sentences, each counted from the rows."""
+    """The result, in at most three sentences, each counted from the rows."""
     printed = [(row, cells) for result in results for row, cells in _printed(result) if row.predictor == NUMERICAL]
     same = sum(cells[3] in cells[4:] for _, cells in printed)
     sentences = [f"Of {len(printed)} printed numbers of numerical predictors, {same} come out here to every digit."]

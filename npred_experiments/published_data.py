@@ -155,7 +155,7 @@ def _some(rows: np.ndarray) -> np.ndarray:
 
 
 def doubts(measured: dict[str, Any], nx: int) -> list[str]:
-    """What the checks say against the samples, in words."""
+    """The faults that the checks find in the samples, in words."""
     lines = [
         f"{state}: P = X + D_hat ∫ f(P, u) leaves {100 * relative:.3g} % of what P moves: is it another plant?"
         for state, relative in measured["relative"].items()
@@ -174,7 +174,7 @@ def doubts(measured: dict[str, Any], nx: int) -> list[str]:
 
 
 def bring(inputs: Path, outputs: Path, name: str, rollouts: int | None, output: Path, console: Console) -> None:
-    """Write the rows of two files as one HDF5 file, and say what holds of them. Raises ConfigError where it cannot."""
+    """Write the rows of two files as one HDF5 file, and describe them. Raises ConfigError where it cannot."""
     if output.resolve() in (inputs.resolve(), outputs.resolve()):
         raise ConfigError(f"--output: expected another file than the two, got {output}; name one")
     plant = plants.resolve(name)

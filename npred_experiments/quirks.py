@@ -1,4 +1,4 @@
-"""What the published loops do otherwise than their equations say, apart from npred's engine, which does none of it.
+"""The steps of the published loops that differ from their equations, apart from npred's engine, which does none of it.
 
 Batched: a state is a tuple of components, a line of nodes an array (nx, m, ...); a component may be a float, too.
 """

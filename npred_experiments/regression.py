@@ -47,7 +47,7 @@ class Quadratic:
         return X[:, None] + self(X, u)
 
     def rest(self, samples: RecordedCalls) -> RecordedCalls:
-        """The same calls with what this leaves of P."""
+        """The same calls with P less this fit."""
         return samples._replace(P=(samples.P - self(samples.X, samples.u)).astype(np.float32))
 
     def save(self, folder: Path) -> None:

@@ -15,7 +15,7 @@ PAGE = "reproduce.html"
 def reproduce(
     options: Common, names: list[str] | None, listed: bool, numerical: bool, force: bool, output: Path | None
 ) -> None:
-    """The rows of these experiments, of all by default; with `listed` what there is.
+    """The rows of these experiments, of all by default; with `listed` their names.
 
     The page goes to `output`, or into the store where the results are those of all. Raises ConfigError for a name that
     there is none of, before anything is measured, and for an `output` that cannot be written.

@@ -19,7 +19,7 @@ UNPRINTED = 6  # decimals of a number that the source does not print
 
 
 def joined(parts: Sequence[Reproduced], networks: bool) -> Reproduced:
-    """An experiment's parts as one; what was published of `networks` stands there too where none was trained."""
+    """An experiment's parts as one; the published numbers of `networks` stand there too where none was trained."""
     experiment = load(parts[0].name)
     rows_of = {(row.predictor, row.metric): row for part in parts for row in part.rows}
     published = [*experiment.numerical, *(experiment.networks if networks else ())]

@@ -126,7 +126,7 @@ def held(steps: int = 1) -> Predict:
 
 
 def of_means(predict: Predict) -> Predict:
-    """A predictor that gets the mean torques of cells of 20 ms: fewer numbers say what is under way."""
+    """A predictor that gets the mean torques of cells of 20 ms: fewer numbers describe the commands under way."""
 
     def averaged(X: np.ndarray, u: np.ndarray, D: np.ndarray, t: Any) -> np.ndarray:
         means = u[:, :-1].reshape(len(u), -1, CELL, JOINTS).mean(axis=2)

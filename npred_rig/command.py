@@ -9,7 +9,7 @@ from npred.cli.options import WATCHDOG, Planned, flag
 
 @dataclass(frozen=True)
 class Rigged(Planned):
-    """Flags of `npred rig`: its length, its network, and what of the controller is not in [evaluate]."""
+    """Flags of `npred rig`: its length, its network, and the parts of the controller that are not in [evaluate]."""
 
     seconds: Annotated[float, flag("How long it runs.")] = 60.0
     delay: Annotated[float, flag("Delay in each direction, in seconds; the plant's D adds to that of commands.")] = 0.12

@@ -1,4 +1,4 @@
-"""The log of a rig, a table of text that `npred identify` reads, what it says of the loop, and a figure of it.
+"""The log of a rig, a table of text that `npred identify` reads, its words about the loop, and a figure of it.
 
 A row is a call of the controller, or a sample that arrived, at the time when it was taken; cells that do not belong to
 it are empty. The last line is a comment that says why the log ends.

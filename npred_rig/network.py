@@ -98,7 +98,7 @@ class UdpLink:
         self._sent += 1
 
     def until(self, t: float) -> None:
-        """Receive what comes until a time since the start."""
+        """Receive packets until a time since the start."""
         while (left := t - self.now) > 0:
             if select.select([self.end], [], [], left)[0]:
                 self._receive()

@@ -34,7 +34,7 @@ AHEAD = 0.1  # s from the agreement to the start
 
 
 def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
-    """Run it and say what its log says. Raises NpredError where a side was lost, UnmetError where the loop was."""
+    """Run it and report its log. Raises NpredError where a side was lost, UnmetError where the loop was."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
     channel = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)

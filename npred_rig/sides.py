@@ -145,7 +145,7 @@ def simulate(
     plant: Plant, table: Evaluate, U0: np.ndarray, observer: Observer | None, end: socket.socket, network: Channel,
     parent: Connection,
 ) -> None:  # fmt: skip
-    """Be the plant, until the controller or the parent is gone; samples are what the `observer` is to get of X.
+    """Be the plant, until the controller or the parent is gone; samples are the outputs that the `observer` gets.
 
     The mean age of the commands and X itself go with them, for the log.
     """

@@ -28,7 +28,7 @@ TURNS, SLIDES = ("rad", "rad/s", "N m"), ("m", "m/s", "N")  # units of a joint's
 
 
 class Joint(Protocol):
-    """What a declaration reads of a body: its joint's name, whether it slides, and the largest torque or force."""
+    """A declaration's view of a body: its joint's name, whether it slides, and the largest torque or force."""
 
     @property
     def joint(self) -> str: ...
@@ -59,7 +59,7 @@ class Dynamics(Protocol):
 
 
 class Wave(NamedTuple):
-    """What the joints follow: middle_i + amplitude sin(frequency t + phase_i)."""
+    """The reference of the joints: middle_i + amplitude sin(frequency t + phase_i)."""
 
     middle: list[float]
     phase: list[float]

@@ -1,4 +1,4 @@
-"""A serial chain from a URDF file: its moving bodies, what is fixed to them merged into them."""
+"""A serial chain from a URDF file: its moving bodies, with the fixed ones merged into them."""
 
 import math
 import os

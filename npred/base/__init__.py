@@ -1,1 +1,1 @@
-"""Errors, checks of arrays, nodes, seeds, named parts, progress: what everything else stands on."""
+"""Errors, checks of arrays, nodes, seeds, named parts, progress: the ground of all other rooms."""

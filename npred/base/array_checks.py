@@ -38,7 +38,7 @@ def nodes(name: str, value: object, m: int) -> np.ndarray:
 
 
 def number(name: str, value: object) -> float:
-    """One real number, which may be infinite. Raises ConfigError for an array with axes and what `floats` refuses."""
+    """One real number, which may be infinite. Raises ConfigError for an array with axes and where `floats` does."""
     array = floats(name, value, "a real number")
     if array.ndim:
         raise ConfigError(f"{name}: expected a real number, got an array of shape {array.shape}; give one number")
@@ -82,7 +82,7 @@ def _all(right: np.ndarray, array: np.ndarray, expected: str, cure: str) -> None
 
 
 def _masked(value: object) -> bool:
-    """Whether the value is a masked array, or a list of some: np.asarray would take what is below the mask."""
+    """Whether the value is a masked array, or a list of some: np.asarray would take the values below the mask."""
     items = value if isinstance(value, list | tuple) else (value,)
     return any(isinstance(item, np.ma.MaskedArray) for item in items)
 
@@ -114,7 +114,7 @@ def memory() -> int:
 
 
 def room(name: str, what: str, needed: float, cure: str) -> None:
-    """Raise ConfigError for what needs more bytes than this machine has."""
+    """Raise ConfigError for an array of more bytes than this machine has."""
     if needed > memory():
         came = f"{what} of {bytes_text(needed)}"
         raise ConfigError(f"{name}: expected what fits into memory, {bytes_text(memory())}, got {came}; {cure}")

@@ -72,7 +72,7 @@ def imported(what: str, module: str, extra: str = "") -> ModuleType:
 
 
 def missing(what: str, error: ModuleNotFoundError, extra: str = "") -> MissingError | None:
-    """The same failure in one line, with what to do; None where the module is none of EXTRAS."""
+    """The same failure in one line, with its cure; None where the module is none of EXTRAS."""
     package = (error.name or "").partition(".")[0]
     return lacking(what, package, extra or EXTRAS[package]) if package in EXTRAS else None
 
@@ -111,7 +111,7 @@ def room_on_disk(root: Path) -> Iterator[None]:
 
 
 def disk_is_full(error: BaseException | None) -> bool:
-    """Whether an error, or what it came from, is a full disk or a quota used up; not where it was raised `from None`,
+    """Whether an error, or its cause, is a full disk or a quota used up; not where it was raised `from None`,
     for then it says of which disk it is.
     """
     if error is None:
@@ -131,14 +131,14 @@ def bytes_text(count: float) -> str:
 def unlisted(
     what: str, name: object, names: Iterable[str], kind: str = "one of", todo: str = "name one of them"
 ) -> str:
-    """The message of a name that is not in a list: what is there, and what comes closest, else what to do."""
+    """The message of a name that is not in a list: the names in it, and the closest one, else the cure."""
     names = list(names)
     near = similar(str(name), names) or f"; {todo if names else 'leave it out'}"
     return f"{what}: expected {kind} {', '.join(names) or 'none: there is none'}, got {name!r}{near}"
 
 
 def similar(name: str, names: Iterable[str]) -> str:
-    """`; did you mean …?` with what comes closest to a name, in any case; nothing where nothing comes close."""
+    """`; did you mean …?` with the name that comes closest, in any case; nothing where none comes close."""
     from difflib import get_close_matches
 
     cased = {each.casefold().lstrip("-"): each for each in names}

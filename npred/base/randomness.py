@@ -1,4 +1,4 @@
-"""Child seeds by name: a result depends on the seed and on what it is for, never on the number of jobs."""
+"""Child seeds by name: a result depends on the seed and on its purpose, never on the number of jobs."""
 
 import zlib
 

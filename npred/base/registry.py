@@ -37,7 +37,7 @@ class Entry(NamedTuple):
 
 
 class Source(NamedTuple):
-    """A file of code: its name without folders, its text, and the sha256 of what it does: see `meaning`."""
+    """A file of code: its name without folders, its text, and the sha256 of its meaning."""
 
     file: str
     text: str

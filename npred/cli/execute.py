@@ -26,7 +26,7 @@ def run(options: Work) -> None:
 
 
 def stage_command(stage: str) -> Callable[..., None]:
-    """The command that runs one stage with what it needs upstream; of a stage per network, of one or of all."""
+    """The command that runs one stage with the stages before it; of a stage per network, of one or of all."""
 
     def of_networks(
         options: Work,

@@ -34,7 +34,7 @@ RECALLS = (
 
 
 def format_command(form: str) -> Callable[..., None]:
-    """The command that writes the files of a format, whose options are its flags, and says what they hold."""
+    """The command that writes the files of a format, whose options are its flags, and describes them."""
     declared = FORMATS[form]
 
     def write(

@@ -43,7 +43,7 @@ def gc(
     yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
     device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
 ) -> None:
-    """The plan of what to delete, and with `yes` the deletion: of what the pipelines and their grids do not need.
+    """The plan of what to delete, and with `yes` the deletion: of results that no pipeline and no grid needs.
 
     Raises ConfigError where no pipeline says what stays, StoreError for a folder of other things, as a --store that was
     meant otherwise may be.

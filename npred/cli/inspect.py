@@ -31,7 +31,7 @@ def status(
 
 
 def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.")]) -> None:
-    """The reason of a stage, of a network, or of what an installed package brings: then no pipeline is read.
+    """The reason of a stage, of a network, or of a result of an installed package: then no pipeline is read.
 
     Raises ConfigError for another name.
     """
@@ -202,7 +202,7 @@ def _step(step: Step) -> dict[str, object]:
 
 
 def _setting(artifact: Artifact, key: str, by_key: dict[str, Artifact]) -> str | None:
-    """A setting of the artifact or of what it was made from, as JSON."""
+    """A setting of the artifact or of its inputs, as JSON."""
     asked = artifact.manifest.question
     value = flat(asked.config).get(key)
     sources = (by_key[source.key] for source in asked.inputs.values() if source.key in by_key)

@@ -31,7 +31,7 @@ def flag(
 
 
 def argument(word: str | None, help: str, default: bool | str = True) -> ArgumentInfo:
-    """An argument for typer, as `flag`; `default` says in words what a command takes without it."""
+    """An argument for typer, as `flag`; `default` names in words the value without it."""
     return typer.Argument(metavar=word, help=help, show_default=default)
 
 
@@ -136,7 +136,7 @@ class Exporting(Common):
 
 @dataclass(frozen=True)
 class ExportingLoop(Exporting):
-    """Flags of `npred export` of a controller: what of the pipeline's loop is another there."""
+    """Flags of `npred export` of a controller: the parts of the pipeline's loop that differ there."""
 
     predictor: Annotated[str, flag("A numerical predictor, as rk4, instead of a network.", word="METHOD")] = ""
     actuator: Annotated[str, flag("Source of u; by default as in evaluate.", word="measured|history")] = ""

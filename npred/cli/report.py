@@ -29,7 +29,7 @@ FORMATS = ("pdf", "svg", "png")  # formats of each figure
 
 
 def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
-    """Copy the page to `output`, by default to the pipeline's name in the store, and say what made it.
+    """Copy the page to `output`, by default to the pipeline's name in the store, and name the pipeline that made it.
 
     Where that name is another pipeline's, the page gets a second one, and a line says so. A store that cannot be
     written leaves the page where it is; None where no report was made. Raises ConfigError for an `output` that cannot
@@ -100,7 +100,7 @@ def sign(options: Planned, folder: Path) -> None:
 
 
 def _owner(path: Path) -> str | None:
-    """The pipeline that a page or a folder names; None for what is not there, and for what names none."""
+    """The pipeline that a page or a folder names; None where there is none, or none is named."""
     try:
         if path.is_dir():
             return (path / SIGNATURE).read_text(encoding="utf-8", errors="surrogateescape").strip() or None

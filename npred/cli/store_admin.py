@@ -84,7 +84,7 @@ def verify(options: Common) -> None:
 
 
 def _faults(options: Common, artifacts: list[Artifact]) -> dict[str, str]:
-    """By folder what is wrong with a result; every file is read."""
+    """The fault of each result, by folder; every file is read."""
     faults = {}
     with options.console.bar("verify", len(artifacts), "results") as bar:
         for artifact in artifacts:

@@ -62,7 +62,7 @@ def tune(
 
 
 def _table(result: Tuned, width: int | None) -> str:
-    """Each number, and what the loops do, before and after."""
+    """Each number, and the loops' results, before and after."""
     rows = [[each.name, f"{each.before:.4g}", f"{each.after:.4g}"] for each in result.numbers]
     for where, judged in (("training", result.training), ("held-out", result.held_out)):
         times = ["–" if time is None else f"{time:.4g}" for time in judged.settle_time]

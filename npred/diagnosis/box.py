@@ -16,7 +16,7 @@ FINE = 1001  # nodes on which a stiff plant is still integrated
 
 
 def traced(case: Case) -> Verdict:
-    """Whether the functions run on symbols, and return what they should."""
+    """Whether the functions run on symbols, and return values of their shapes."""
     plant = case.plant
     _ = plant.program, plant.rests  # they say so where a function fails
     names = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"

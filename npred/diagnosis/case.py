@@ -22,7 +22,7 @@ SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that 
 
 
 class Answer(NamedTuple):
-    """A question's name, whether the plant meets it, and a sentence: what was found, and the cure."""
+    """A question's name, whether the plant meets it, and a sentence: the finding, and the cure."""
 
     check: str
     verdict: Literal["yes", "warn", "no"]
@@ -39,7 +39,7 @@ class Check(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedExperiment:
-    """What is to be done with a plant: the ranges and input bounds that come before its own, the names of the delay
+    """The task for a plant: the ranges and input bounds that come before its own, the names of the delay
     laws that run, the length of the loops in seconds, and the loops of the paper's law, if it is to be evaluated.
     """
 

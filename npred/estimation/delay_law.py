@@ -62,7 +62,7 @@ class DelayLaw(ABC):
         """Raise ConfigError where the delay law is not for this plant; asked before anything runs."""
 
     def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
-        """The law with what was left out, for delays D (...) and first estimates D_hat (...), in seconds.
+        """The law with its defaults filled in, for delays D (...) and first estimates D_hat (...), in seconds.
 
         The bounds are those of the paper for D = 1, 0.1 D to 4 D of the longest delay, widened to D and D_hat.
         """

@@ -77,7 +77,7 @@ KINDS = {str: str, int: int, float: int | float, tuple: str | list | tuple}  # w
 
 
 class Exported(NamedTuple):
-    """The files of an export, and what is said of them: in a JSON document, and to people."""
+    """The files of an export, and the words about them: in a JSON document, and to people."""
 
     files: list[Path]
     facts: dict[str, object]

@@ -349,7 +349,7 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
 
 
 def _header(controller: Controller, listed: Sequence[Variable], name: str, token: str) -> str:
-    """The text of variables.h: what instance.h and the functions of FMI read of this controller."""
+    """The text of variables.h, which instance.h and the functions of FMI read."""
     ends = list(accumulate(len(variable.start) for variable in listed))
     firsts = [end - len(variable.start) for end, variable in zip(ends, listed, strict=True)]
     blocks: dict[str, int] = {}

@@ -54,7 +54,7 @@ def inputs(plant: Plant) -> tuple[str, ...]:
 
 
 def graph(operator: Any, plant: Plant, nx: int) -> bytes:
-    """The ONNX model of P and U on nx nodes, any batch: what the grid alone decides is folded into constants.
+    """The ONNX model of P and U on nx nodes, any batch: values that depend on the grid alone are constants.
 
     Raises MissingError without the onnx extra, ConfigError where the plant is not traced, its time has no period, or a
     delay that it declares lets the law's time be another than t + D_hat.

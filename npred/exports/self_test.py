@@ -1,4 +1,4 @@
-"""The test inside an exported controller: calls that move all that it remembers, and what the one in Python answers.
+"""The test inside an exported controller: calls that move its whole memory, and the answers of the one in Python.
 
 A plant whose delay is another one than D_hat is kicked about. Its samples come in time, late, wrong, or not at all.
 """
@@ -30,7 +30,7 @@ BISECTIONS = 12  # that find how wide the gate is
 
 
 class Test(NamedTuple):
-    """Calls, and what is measured in them: X (calls or rows, outputs), and u (rows, nx, m) or nothing."""
+    """Calls, and their samples: X (calls or rows, outputs), and u (rows, nx, m) or nothing."""
 
     does: np.ndarray
     t: np.ndarray

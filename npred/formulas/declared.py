@@ -95,7 +95,7 @@ def parameters(plant: Declared) -> Parameters:
 
 
 def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
-    """A failure inside a declared function, in one line: where in the author's file, and what may have been meant."""
+    """A failure inside a declared function, in one line: where in the author's file, and the likely name."""
     function = getattr(plant.declaration, name)
     line = source_lines.where(error, function) or f" ({source_lines.line(function)})"
     message = f"plant {plant.name}: {name} failed{line}: {source_lines.one_line(error)}"

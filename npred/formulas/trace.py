@@ -72,11 +72,11 @@ class Trace:
         return self._call("delay", 1, x, None, t)[0]
 
     def output(self, x: np.ndarray, t: Value) -> np.ndarray:
-        """output(x, t), what is measured, shape (outputs,)."""
+        """output(x, t), the measured outputs, shape (outputs,)."""
         return self._call("output", len(self.plant.outputs), x, None, t)
 
     def safe(self, x: np.ndarray, t: Value) -> np.ndarray:
-        """safe(x, t), what is at least 0 where the state is safe, shape (limits,)."""
+        """safe(x, t), limits that are at least 0 where the state is safe, shape (limits,)."""
         return self._call("safe", self.plant.limits, x, None, t)
 
     def reference(self, t: Value) -> np.ndarray:
@@ -140,7 +140,7 @@ ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")
 
 
 def python(outputs: tapes.Vector, names: Sequence[str], library: ModuleType = np) -> Callable[..., list[Value]]:
-    """The program as an interpreted function of the named inputs, on numbers, arrays, or what NumPy takes as such.
+    """The program as an interpreted function of the named inputs, on numbers, arrays, or their like.
 
     A branch that M.where does not take may be undefined there, as in the compiled kernels. With `library` math it is
     for Python's own floats, which is quicker, and raises where they do.

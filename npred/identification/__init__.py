@@ -1,1 +1,1 @@
-"""From a recording to the delay and the parameters of a plant, with what the recording cannot tell."""
+"""From a recording to the delay and the parameters of a plant, and its limits."""

@@ -1,4 +1,4 @@
-"""What else would explain a log: a first-order lag in place of a delay, a lag behind it, or no delay at all.
+"""Other explanations of a log: a first-order lag in place of a delay, a lag behind it, or no delay at all.
 
 Two models that do not contain each other are compared segment by segment [Vuong, Econometrica 57 (1989) 307]: the
 difference of their costs has to be large, and larger than its scatter over the segments.
@@ -21,7 +21,7 @@ SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # lags to try, as shares of the delay
 
 @dataclass(frozen=True)
 class Alternative:
-    """What input j would have in place of its delay, or behind it."""
+    """The best lag of input j in place of its delay, or behind it."""
 
     lag: float  # s, of a first-order lag in place of the delay
     as_good: bool  # the log does not prefer the delay

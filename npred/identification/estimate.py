@@ -131,7 +131,7 @@ class Parameter(NamedTuple):
 
 
 def parameters(plant: Plant, delays: Delays, seed: int) -> tuple[dict[str, Parameter], dict[str, float]]:
-    """The free parameters by name; and how far the other ones are from the plant's, in what was allowed.
+    """The free parameters by name; and how far the other ones are from the plant's, in shares of the allowed error.
 
     An interval is the least one around two: that of the cost's curvature, which what the delays leave open widens, and
     that of drawing the segments anew.

@@ -24,7 +24,7 @@ NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of theta beforehand: mean and deviation (q,), infinite where nothing is, and limits (2, q)."""
+    """The prior of theta: mean and deviation (q,), infinite where nothing is, and limits (2, q)."""
 
     mean: np.ndarray
     deviation: np.ndarray
@@ -56,7 +56,7 @@ class SegmentFit:
 
     @property
     def count(self) -> int:
-        """Residuals less what was fitted to them."""
+        """Residuals less the fit to them."""
         return int(np.isfinite(self.residuals).sum()) - self.X.size - int(np.isinf(self.prior.deviation).sum())
 
     def costs(self, weights: np.ndarray) -> np.ndarray:

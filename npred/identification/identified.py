@@ -1,4 +1,4 @@
-"""What a log tells of a plant, and what it does not, in numbers and in sentences."""
+"""The answer of a log about a plant, and its limits, in numbers and in sentences."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class Identified(InNotebook):
-    """Delays D (m,) with intervals of 95 % (m, 2); the parameters that were freed; errors on what was held back.
+    """Delays D (m,) with intervals of 95 % (m, 2); the parameters that were freed; errors on the held-back part.
 
     `identifiable` (m,) is False where the log does not tell the delay: the interval holds what it does tell. Of
     `held_back` each number is the rms error of a prediction over many samples, in the output's unit, of several outputs

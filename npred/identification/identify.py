@@ -33,7 +33,7 @@ SLIP = 0.02  # share of the noise that twice as many steps may change
 
 @dataclass(frozen=True)
 class Settings:
-    """What is free, and what is known: see `identify`."""
+    """The free and the known parts: see `identify`."""
 
     free: Sequence[str] = ()
     bounds: Mapping[str, tuple[float, float]] | None = None
@@ -131,7 +131,7 @@ def identify(
 
 
 def of_log(plant: Plant, log: Log, settings: Settings) -> Identified:
-    """What a log tells; see `identify`."""
+    """The answer of a log; see `identify`."""
     problem, high = prepared(plant, log, settings)
     delays = estimate(problem, 0 * high, high, randomness.generator(settings.seed, "identify"))
     fewer = alternatives.thinned(delays)

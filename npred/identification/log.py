@@ -73,14 +73,14 @@ class Log:
 
 
 def mean_square(values: np.ndarray) -> np.ndarray:
-    """The mean of squares (q,) of values (..., q) over what is finite; 0 of a column without."""
+    """The mean of squares (q,) of the finite values of (..., q); 0 of a column without."""
     flat = values.reshape(-1, values.shape[-1])
     finite = np.isfinite(flat)
     return (np.where(finite, flat, 0.0) ** 2).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
 
 
 def spread(values: np.ndarray) -> np.ndarray:
-    """The standard deviation (q,) of values (N, q) over what is finite; 0 of a column without."""
+    """The standard deviation (q,) of the finite values of (N, q); 0 of a column without."""
     finite = np.isfinite(values)
     mean = np.where(finite, values, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
     return np.sqrt(mean_square(values - mean))

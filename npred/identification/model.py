@@ -155,7 +155,7 @@ class RolloutModel:
             P[row] = np.concatenate([x, a], axis=1).T
 
     def outputs(self, x: np.ndarray, J: np.ndarray, t: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What is measured of states (..., n): these, or output(x, t, p, M) of the plant; with the derivatives.
+        """The outputs of states (..., n): these, or output(x, t, p, M) of the plant; with the derivatives.
 
         Outputs (..., q), and their derivatives (..., q, n + theta) from those of the states.
         """
@@ -172,7 +172,7 @@ class RolloutModel:
         return y, G
 
     def measured_states(self, Y: np.ndarray) -> np.ndarray:
-        """States (..., n) to begin with: what is measured of them, the plant's guess for the rest."""
+        """States (..., n) to begin with: the measured ones, and the plant's guess for the rest."""
         plant, X = self.plant, np.tile(self.plant.guess, (*Y.shape[:-1], 1))
         for k, name in enumerate(plant.outputs):
             if name in plant.states:

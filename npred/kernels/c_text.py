@@ -48,5 +48,5 @@ def _exact(value: float, kind: str) -> str:
 
 
 def _single(value: float) -> float:
-    """The number within float's range. What is too small becomes its smallest: a guard against 0 stays one."""
+    """The number within float's range. A number that is too small becomes its smallest: a guard against 0 stays one."""
     return math.copysign(min(max(abs(value), SMALLEST), LARGEST), value) if value else value

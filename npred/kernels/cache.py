@@ -116,7 +116,7 @@ def sound(target: Path) -> bool:
 
 
 def install(folder: Path, target: Path) -> None:
-    """Seal what was compiled, make it durable and rename it into place, where another process may have been faster."""
+    """Seal a compiled file, make it durable and rename it into place, where another process may have been faster."""
     files = [Path(here, name) for here, _, names in os.walk(folder) for name in names]
     digests = {str(path.relative_to(folder)): json_files.sha256(path) for path in files}
     (folder / SEAL).write_text(json.dumps(digests), encoding="utf-8")

@@ -83,7 +83,7 @@ def library(text: str, exact: bool = False) -> ctypes.CDLL:
 
 
 def prepare(texts: Iterable[str], exact: bool = False) -> None:
-    """Compile what is not there yet of these texts, side by side: a first loop needs five. Raises as `library` does."""
+    """Compile the texts that are not there yet, side by side: a first loop needs five. Raises as `library` does."""
     flags = (*FLAGS, *EXACT) if exact else FLAGS
     named = {_named(text, flags): text for text in texts}
     missing = [text for name, text in named.items() if name not in _loaded and not (disk.root() / name).exists()]

@@ -76,7 +76,7 @@ def vector(name: str, size: int, stride: str = "lanes", prefix: str | None = Non
 
 
 class Formulas:
-    """A trace, and C functions of what is made on it; `{name}` stands for the name of each."""
+    """A trace, and C functions of its formulas; `{name}` stands for the name of each."""
 
     def __init__(self, plant: Any, called: Collection[str] | None = None) -> None:
         """Of `called` the functions are not written out; by default of those whose programs are long."""

@@ -120,11 +120,11 @@ class Kernel:
         return ctypes.cast(self.function, ctypes.c_void_p).value or 0
 
     def __call__(self, *values: Any, scratch: Any = ()) -> None:
-        """Run it on C-contiguous arrays of float64, and numbers; `scratch` is what its scratch memory begins with."""
+        """Run it on C-contiguous arrays of float64, and numbers; `scratch` is in its scratch memory at first."""
         self.bound(*values, scratch=scratch)()
 
     def bound(self, *values: Any, scratch: Any = ()) -> Callable[[], None]:
-        """The call on these arrays: each time it reads what is in them then, and takes no longer than in a loop.
+        """The call on these arrays: each time it reads their values of then, and takes no longer than in a loop.
 
         A number may be a ctypes object, which is read then too.
         """

@@ -1,4 +1,4 @@
-"""Laws kappa that are designed from f alone: what is designed without delay is applied to P by npred.
+"""Laws kappa that are designed from f alone, without delay; npred applies them to P.
 
 Each is a file and a line of npred.base.registry.LAWS: a function of a plant that gives a kappa(x, t, p, M).
 """

@@ -1,4 +1,4 @@
-"""What a law is designed from: f on a tape, the point or the reference that it leads to, and sizes by the box."""
+"""The material of a design: f on a tape, the point or the reference that it leads to, and sizes by the box."""
 
 from collections.abc import Sequence
 from functools import cached_property

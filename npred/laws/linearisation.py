@@ -237,7 +237,7 @@ def _law(design: Design, outputs: Sequence[OutputMap], poles: Sequence[complex] 
 
 
 def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
-    """The output and its derivatives by the time along what the law leads to, degree + 1 of them."""
+    """The output and its derivatives by the time along the law's target, degree + 1 of them."""
     X = design.target[0]
     y = output(X, design.t)
     if not design.follows:  # a number

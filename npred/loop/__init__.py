@@ -1,1 +1,1 @@
-"""The closed loop: actuator, engine, feedback and delay laws, the controller, and what is measured of loops."""
+"""The closed loop: actuator, engine, feedback and delay laws, the controller, and the measures of loops."""

@@ -70,7 +70,7 @@ class Clock:
         return [None if np.isnan(value) else value for value in self.memory.tolist()]
 
     def restore(self, numbers: Any) -> None:
-        """Set it to a state. Raises ValueError or TypeError for what is none."""
+        """Set it to a state. Raises ValueError or TypeError for any other value."""
         values = np.array([np.nan if value is None else value for value in numbers], dtype=float)
         if (
             values.shape != self.memory.shape

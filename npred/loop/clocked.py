@@ -1,4 +1,4 @@
-"""Loops on a real clock: the controller that ships, called at its own times, and the plant with what reached it.
+"""Loops on a real clock: the controller that ships, called at its own times, and the plant as commands arrive.
 
 One loop after the other, npred/kernels/c/clocked.h; what happens when is npred.loop.timing.
 """
@@ -30,7 +30,7 @@ SPARE = 4  # control steps that a sample may come later than the delay of the sa
 
 
 def check(loop: Loop) -> None:
-    """Raise ConfigError for what a loop on a real clock cannot have."""
+    """Raise ConfigError for parts that a loop on a real clock cannot have."""
     if not loop.reads_commands:
         raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {loop.actuator!r}; give it')
     if loop.predictor is None:

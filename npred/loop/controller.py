@@ -243,12 +243,12 @@ class Controller(InNotebook):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """The names of what a sample has: the states, or the outputs of its observer."""
+        """The names of a sample's numbers: the states, or the outputs of its observer."""
         return tuple(self.observer.outputs) if self.observer else self.plant.states
 
     @property
     def X_hat(self) -> np.ndarray:
-        """The state that the last step predicted from, (n,), a copy: the sample, or what the model made of those."""
+        """The state that the last step predicted from, (n,), a copy: the sample, or the model's state since."""
         return self.memory.X_hat[:, 0].copy()
 
     @property
@@ -547,7 +547,7 @@ class Controller(InNotebook):
             self._u[:], self._u_nodes[:] = u, u_nodes
 
     def _refusal(self, code: int, booked: bool) -> str:
-        """Why a step gives no U to send, and what to do, in words."""
+        """Why a step gives no U to send, and the cure, in words."""
         kept, came = self.plant.time_text(self.reach), self.memory.D_seen.max()
         reason = {
             engine.MEASUREMENT: "expected finite X and u, got one that is not",

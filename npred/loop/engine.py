@@ -129,7 +129,7 @@ TRUE = ("horizon", "delay_speed", "advance", "output")  # parts of the simulated
 
 
 def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:
-    """The parts of a step that keep limits: the filter, and what predicts the states that it asks of.
+    """The parts of a step that keep limits: the filter, and the predictor of the states that it checks.
 
     Limits are asked of a numerical prediction, also where a network gives U.
     """

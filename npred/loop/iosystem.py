@@ -1,4 +1,4 @@
-"""The controller as a block of python-control: a discrete-time system whose states are what the controller remembers.
+"""The controller as a block of python-control: a discrete-time system whose states are the controller's memory.
 
     import control
     block = npred.as_iosystem(npred.controller(plant, predictor, law, dt=0.01, actuator="history"))

@@ -1,4 +1,4 @@
-"""One description of a loop: what is simulated, what a controller is made of, and what a pipeline's tables say."""
+"""One description of a loop: for simulation, for a controller, and for a pipeline's tables."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields

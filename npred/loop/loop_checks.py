@@ -1,4 +1,4 @@
-"""Checks of the arguments of a closed loop before it runs: the compiled engine reads what the shapes promise."""
+"""Checks of the arguments of a closed loop before it runs: the compiled engine trusts their shapes."""
 
 import math
 from typing import Any

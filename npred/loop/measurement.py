@@ -24,7 +24,7 @@ PerState: TypeAlias = float | Sequence[float]
 
 
 def share(label: str, name: str, number: Any, highest: float = 1.0) -> None:
-    """Raise ConfigError for what is no number from 0 up to the highest, not included."""
+    """Raise ConfigError unless it is a number from 0 up to the highest, not included."""
     value = array_checks.number(f"{label}: {name}", number)
     if not 0 <= value < highest:
         room = "of at least 0" if highest == math.inf else f"from 0 up to {highest:g}, not included"
@@ -32,7 +32,7 @@ def share(label: str, name: str, number: Any, highest: float = 1.0) -> None:
 
 
 def whole(label: str, name: str, number: Any) -> None:
-    """Raise ConfigError for what is no whole number of 64 bits."""
+    """Raise ConfigError unless it is a whole number of 64 bits."""
     if not isinstance(number, int | np.integer) or not -(2**63) <= number < 2**63:
         raise ConfigError(f"{label}: expected a whole number of 64 bits as {name}, got {number!r}; give one")
 

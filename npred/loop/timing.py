@@ -1,4 +1,4 @@
-"""When things happen in a loop on a real clock: calls, samples and what is lost, all known before it runs."""
+"""When things happen in a loop on a real clock: calls, samples and losses, all known before it runs."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A controller that gets no sample: how long it waits, and what it hands over to."""
+"""A controller that gets no sample: how long it waits, and the law that it hands over to."""
 
 import math
 from collections.abc import Callable

@@ -76,7 +76,7 @@ class Weights:
         return imported(f"network {self.architecture}", "npred.lab.training.operators.base").filled(self, plant)
 
     def layers(self, name: str) -> list[dict[str, np.ndarray]]:
-        """The arrays of the layers name.0, name.1, … that have any, in order, each by what follows its number."""
+        """The arrays of the layers name.0, name.1, … that have any, in order, each by the rest of its name."""
         layers: dict[int, dict[str, np.ndarray]] = {}
         for key, array in self.arrays.items():
             if key.startswith(f"{name}."):
@@ -153,7 +153,7 @@ def read(
 
 
 def untrained(table: NetworkTable, plant: Plant, rng: np.random.Generator) -> Weights:
-    """Random weights of a network with a fused form: what a call of it takes, before there are data."""
+    """Random weights of a network with a fused form, to time its call before there are data."""
     anchor = table.anchor if plant.rest else "initial"
     arrays = {
         name: rng.standard_normal(shape, dtype=np.float32) / np.float32(max(shape[-1:], default=1)) ** 0.5

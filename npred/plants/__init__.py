@@ -100,7 +100,7 @@ def varied(plant: Plant, parameters: Values) -> Plant:
 
 @lru_cache(maxsize=128)
 def restored(spec: str, parameters: Values, digest: str | None, kappa: Callable[..., Any] | None) -> Plant:
-    """The plant that was pickled by its name, one per process, for it keeps what is compiled.
+    """The plant that was pickled by its name, one per process, for it keeps its compiled code.
 
     Raises ConfigError where it is not there, or its file has changed since.
     """

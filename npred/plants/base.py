@@ -1,4 +1,4 @@
-"""A plant: what its author declared, its equilibrium, its functions on arrays, and their texts."""
+"""A plant: its author's declaration, its equilibrium, its functions on arrays, and their texts."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -66,7 +66,7 @@ class Plant(InNotebook):
         return f"<{type(self).__name__} {self.name}: {'; '.join(parts + ([_few(values)] if values else []))}>"
 
     def __reduce__(self) -> tuple[Callable[..., "Plant"], tuple[object, ...]]:
-        """Pickled by name or file where there is one, else with its class; what is derived is made again."""
+        """Pickled by name or file where there is one, else with its class; derived parts are made again."""
         from npred import plants
 
         parameters = tuple(self.parameters.items())
@@ -138,11 +138,11 @@ class Plant(InNotebook):
         return self._stacked("delay", X, None, t)[..., 0]
 
     def output(self, X: Array, t: Value = 0.0) -> Array:
-        """What is measured of X (..., n): output(X, t) (..., outputs) of a plant that declares it, else X."""
+        """The outputs of X (..., n): output(X, t) (..., outputs) of a plant that declares it, else X."""
         return self._stacked("output", X, None, t) if self.declares_output else array_math.taken(X)
 
     def safe(self, X: Array, t: Value = 0.0) -> Array:
-        """What is at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it.
+        """Limits that are at least 0 where X (..., n) is safe: safe(X, t) (..., limits), of a plant that declares it.
 
         Raises ConfigError for another plant.
         """
@@ -158,7 +158,7 @@ class Plant(InNotebook):
         raise ConfigError(f"plant {self.name}: rollout expected traced = False and rollout(X, u, D_hat, t, p); use rk4")
 
     def stopped(self, x: Array, M: Functions) -> Array:
-        """The components of a state after a step, each within `state_bounds`; what is not finite stays visible."""
+        """The components of a state after a step, each within `state_bounds`; NaN and infinity stay visible."""
         if not self.state_bounds:
             return x
         components = list(x)
@@ -339,7 +339,7 @@ class Plant(InNotebook):
         return programs.depends([trace.delay(x, t)], [*x])
 
     def phase(self, t: Value) -> np.ndarray | None:
-        """t / period modulo 1, (...): what a network sees of the time. None where it sees nothing of it.
+        """t / period modulo 1, (...): the time as a network sees it. None where it sees none.
 
         Raises ConfigError for a prediction that depends on time without a period.
         """
@@ -399,7 +399,7 @@ class Plant(InNotebook):
 
 
 def require(plant: object) -> None:
-    """Raise ConfigError for what is no plant."""
+    """Raise ConfigError unless it is a plant."""
     if not isinstance(plant, Plant):
         raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
 

@@ -132,7 +132,7 @@ class Declaration(BaseModel, frozen=True):
 
 
 def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declaration:
-    """The parts of the class, its parameters overridden. Raises ConfigError for what is missing, unknown or wrong.
+    """The parts of the class, its parameters overridden. Raises ConfigError for missing, unknown or wrong parts.
 
     That is also a name of the plant that could be more than a name where it is written, in C say.
     """

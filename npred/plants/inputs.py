@@ -1,4 +1,4 @@
-"""The inputs of a plant: the range of each, and what they are before t = 0."""
+"""The inputs of a plant: the range of each, and their values before t = 0."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

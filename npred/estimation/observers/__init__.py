@@ -1,4 +1,4 @@
-"""Observers of a state that is not measured, from what is: one file each behind one interface, that of `base`."""
+"""Observers of the state from measured outputs: one file each behind one interface, that of `base`."""
 
 from npred.estimation.observers.base import Observer as Observer
 from npred.estimation.observers.ekf import EKF as EKF

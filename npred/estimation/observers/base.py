@@ -1,4 +1,4 @@
-"""An observer of the state: two kernels of one lane on a memory, and what is assumed of a plant by default."""
+"""An observer of the state: two kernels of one lane on a memory, and the sizes that a plant has by default."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -99,7 +99,7 @@ class Observer(ABC):
         """The memory to begin with, of one axis."""
 
     def anew(self) -> tuple[np.ndarray, np.ndarray]:
-        """The memory to go on with where it was lost, and 1 where that is the variance of what it begins with."""
+        """The memory to go on with where it was lost, and 1 where that is a variance of its first state."""
         return self.start(), np.zeros(len(self.start()))
 
     @property
@@ -183,7 +183,7 @@ class Observer(ABC):
 
     @property
     def _selects(self) -> bool:
-        """True if the outputs are states, and not what the plant declares."""
+        """True if the outputs are states, and not the plant's own."""
         return self.outputs != self.plant.outputs or not self.plant.declares_output
 
     def _by_state(self, trace: Trace) -> tuple[list[Value], list[Value]]:

@@ -25,21 +25,21 @@ class TimeSeries(NamedTuple):
 
 
 class Recording(Protocol):
-    """A file that is read. A format is made from the path; it raises ConfigError for what it cannot read."""
+    """A file that is read. A format is made from the path; it raises ConfigError for a file that it cannot read."""
 
     def columns(self) -> list[str]:
         """The names that the file has."""
         ...
 
     def series(self, names: Sequence[str], time: str | None, unit: str | None) -> Mapping[str, TimeSeries]:
-        """The series of these names as they are, also what is not finite: see `read`."""
+        """The series of these names as they are, also where not finite: see `read`."""
         ...
 
 
 def read(
     path: Path, names: Sequence[str], time: str | None = None, time_unit: str | None = None
 ) -> dict[str, TimeSeries]:
-    """The series of the columns or fields `names`, without what is not finite.
+    """The series of the columns or fields `names`, finite values only.
 
     Times are in the order of the file. `time` names their column, or the field of each message that has them; by
     default it is found. `time_unit` is one of UNITS; by default the one that the header of a table gives, else s.

@@ -24,7 +24,7 @@ UNIT = re.compile(r"(.*\S)\s*(?:\[(?!\d+])([^][]*)]|\((?!\d+\))([^()]*)\))")  # 
 
 
 class Csv:
-    """A table; `names` are those of its columns, `units` what the header has in brackets behind some of them."""
+    """A table; `names` are those of its columns, `units` the texts in brackets behind some of them."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -121,7 +121,7 @@ def _steps(name: str) -> Steps:
 
 
 def _field(message: Any, steps: Steps) -> Any:
-    """What a message has there, else None."""
+    """The value that a message has there, else None."""
     try:
         for step in steps:
             inside = isinstance(step, int) or isinstance(message, Mapping)

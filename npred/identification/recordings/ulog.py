@@ -27,7 +27,7 @@ class Ulog:
         return [f"{topic}.{field}" for topic, fields in self.topics.items() for field in fields]
 
     def series(self, names: Sequence[str], time: str | None, unit: str | None) -> dict[str, TimeSeries]:
-        """The fields as they are. With `time`, a field of each message, times are what this has, in that unit."""
+        """The fields as they are. With `time`, a field of each message, this field gives the times, in that unit."""
         series = {}
         for name in names:
             topic, _, field = name.partition(".")

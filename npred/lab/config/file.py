@@ -1,4 +1,4 @@
-"""Pipeline files: read, overridden by `--set`, parsed; and what is wrong with one, in one line."""
+"""Pipeline files: read, overridden by `--set`, parsed; and the fault of one, in one line."""
 
 import os
 import re
@@ -99,7 +99,7 @@ def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first fault of a pipeline: its key, what pydantic says of it, and the value."""
+    """The first fault of a pipeline: its key, pydantic's words, and the value."""
     first: Any = error.errors()[0]
     loc = first["loc"] + (tuple(first["ctx"].values()) if first["type"] == "extra_forbidden" and "ctx" in first else ())
     # without a union's types

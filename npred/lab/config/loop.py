@@ -125,7 +125,7 @@ class LoopTable(Section):
         return not getattr(self, "data", "")
 
     def clocked(self) -> None:
-        """Raise ValueError for what reads the controller's own commands where it is given u."""
+        """Raise ValueError for parts that read the controller's own commands where it is given u."""
         parts = {"timing": self.timing, "observer": self.observer, "safety.delay": self.safety and self.safety.delay}
         for key, value in parts.items():
             if value and self.actuator != "history":

@@ -1,1 +1,1 @@
-"""Every figure and table, once, and what a terminal shows."""
+"""Every figure and table, once, and the terminal's views."""

@@ -45,7 +45,7 @@ def table(section: Section) -> dict[str, Any]:
 
 
 def content(key: str, path: Path) -> str:
-    """The digest of what a file holds that a key of the pipeline names."""
+    """The digest of the content of a file that a key of the pipeline names."""
     try:
         return sha256(regular(path))
     except OSError as error:
@@ -54,7 +54,7 @@ def content(key: str, path: Path) -> str:
 
 @dataclass(frozen=True)
 class Slices:
-    """What the key of a node may hold beside the plant's identity and the seed; `model` names its network."""
+    """The parts that the key of a node may hold beside the plant's identity and the seed; `model` names its network."""
 
     config: Pipeline
     plant: Plant
@@ -86,7 +86,7 @@ class Slices:
 
     @property
     def output(self) -> dict[str, str]:
-        """The digest of what is measured, where that is not the state."""
+        """The digest of the outputs, where they are not the state."""
         return {"output": _digest(self.plant.printed("output"))} if self.plant.declares_output else {}
 
     @property

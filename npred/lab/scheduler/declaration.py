@@ -1,4 +1,4 @@
-"""What a stage declares of itself. A stage is a module or a folder here, and its name a line in npred.base.registry."""
+"""The declaration of a stage. A stage is a module or a folder here, and its name a line in npred.base.registry."""
 
 import sys
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Stage:
 
     @property
     def help(self) -> str:
-        """What it makes, in a line."""
+        """Its results, in a line."""
         return sys.modules[self.package].__doc__ or ""
 
     @property

@@ -129,7 +129,7 @@ class Threads(ThreadPoolExecutor, Workers):
 
 
 class Processes(Workers):
-    """Processes of this machine. What is lost with one that died, of memory say, is done again by fresh ones, once."""
+    """Processes of this machine. The work of one that died, of memory say, is done again by fresh ones, once."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -191,7 +191,7 @@ class Processes(Workers):
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Processes that start in the block do not get what a terminal sends to all: they end with this one, silently."""
+    """Processes that start in the block do not get a terminal's signals: they end with this one, silently."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows, where the processes themselves ignore signals
         yield
         return
@@ -203,7 +203,7 @@ def signals_blocked() -> Iterator[None]:
 
 
 def _settle(outcome: Future[Result], error: BaseException | None, done: Future[Result]) -> None:
-    """Give a future this error, or without one what the other future has."""
+    """Give a future this error, or without one the other future's answer."""
     if outcome.set_running_or_notify_cancel():
         if error:
             outcome.set_exception(error)

@@ -35,7 +35,7 @@ class Job:
 
     @contextmanager
     def threads(self) -> Iterator[ThreadPoolExecutor]:
-        """A pool of `jobs` threads; what ends the block, Ctrl-C say, ends the loops that they run."""
+        """A pool of `jobs` threads; an end of the block, by Ctrl-C say, ends the loops that they run."""
         with ThreadPoolExecutor(self.jobs) as pool:
             try:
                 yield pool

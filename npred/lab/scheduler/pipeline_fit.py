@@ -1,4 +1,4 @@
-"""The check of a pipeline: can its stages run with its plant, and what is doubtful about its loops?"""
+"""The check of a pipeline: can its stages run with its plant, and are its loops in doubt?"""
 
 import json
 from collections.abc import Collection
@@ -106,13 +106,13 @@ def check(
 
 
 def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
-    """Raise ConfigError, in one line, where those stages ask for what the plant does not have."""
+    """Raise ConfigError, in one line, where those stages ask for parts that the plant does not have."""
     fit = PipelineFit(plant, pipeline, stages)
     _require(fit, fit.case())
 
 
 def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
-    """The questions that take a simulation, asked before a run: what the adaptive loop makes doubtful, in words."""
+    """The questions that take a simulation, asked before a run: the doubts about the adaptive loop, in words."""
     case = PipelineFit(plant, pipeline).case()
     answers = [case.ask(question) for question in diagnosis.QUESTIONS if question.name in SIMULATED]
     return [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
@@ -202,7 +202,7 @@ def declared_delay(fit: PipelineFit) -> None:
 
 
 def room(fit: PipelineFit) -> None:
-    """Whether what the stages keep at once fits into this machine's memory: the least that they take, not all."""
+    """Whether the stages' least need of memory at one time fits into this machine."""
     pipeline, row = fit.pipeline, 8 * (fit.plant.n + fit.plant.m)  # bytes of a node, of P and u
     generate, evaluate, bench = pipeline.generate, pipeline.evaluate, pipeline.bench
     certify = pipeline.optional("certify")

@@ -95,7 +95,7 @@ class Step:
 
 
 class Resolver(ABC):
-    """Resolves nodes, of a pipeline or of what a package brings, against one store.
+    """Resolves nodes, of a pipeline or of a package, against one store.
 
     `forced` stages count as not there. With `borrows`, times that another machine took are taken where this one has
     none: to draw them.
@@ -109,15 +109,15 @@ class Resolver(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """The name of what its results are made for."""
+        """The name of the pipeline, or the like, that its results are for."""
 
     @abstractmethod
     def with_absolute_paths(self) -> Self:
-        """The same for a process elsewhere: a relative path is another file there, and what is cached stays here."""
+        """The same for a process elsewhere: a relative path is another file there, and caches stay here."""
 
     @abstractmethod
     def check(self, nodes: Iterable[Node]) -> None:
-        """Raise ConfigError where these nodes ask for what there is not."""
+        """Raise ConfigError where these nodes ask for a part that there is not."""
 
     @abstractmethod
     def version(self, node: Node) -> int:
@@ -211,7 +211,7 @@ class Planner(Resolver):
 
     @cached_property
     def plant(self) -> "Plant":
-        """The plant of the pipeline, one object for all its stages: they share what it has compiled."""
+        """The plant of the pipeline, one object for all its stages: they share its compiled code."""
         from npred import plants  # brings NumPy, which `npred --help` has no use for
 
         return plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
@@ -220,7 +220,7 @@ class Planner(Resolver):
         return replace(self, config=self.config.with_absolute_paths(), store=Store(self.store.root.absolute()))
 
     def check(self, nodes: Iterable[Node]) -> None:
-        """Raise ConfigError where these nodes ask for what the plant does not have."""
+        """Raise ConfigError where these nodes ask for parts that the plant does not have."""
         from npred.lab.scheduler import pipeline_fit
 
         pipeline_fit.require(self.plant, self.config, {node.stage for node in nodes})
@@ -239,7 +239,7 @@ class Planner(Resolver):
         self, node: Node, folder: Path, inputs: dict[str, Path], scratch: Path, console: Console, jobs: int,
         executor: Workers,
     ) -> Result:  # fmt: skip
-        """The result of a stage. Raises what the stage raises, ConfigError where memory does not hold it."""
+        """The result of a stage. Raises the stage's errors, and ConfigError where memory does not hold it."""
         from npred.lab.scheduler.job import Job
 
         job = Job(self.config, self.plant, folder, inputs, scratch, self.device, jobs, console, node.model, executor)
@@ -254,7 +254,7 @@ class Planner(Resolver):
 
 
 def anywhere(asked: Question) -> str | None:
-    """The key of a question without the machine, where that is part of it: what another machine timed has the same."""
+    """The key of a question without the machine, where that is part of it: another machine's times have the same."""
     if "hardware" not in asked.config:
         return None
     config = {key: value for key, value in asked.config.items() if key != "hardware"}

@@ -1,4 +1,4 @@
-"""The reason that a stage would run, in words: what differs from the closest result that the store has."""
+"""The reason that a stage would run, in words: the difference from the closest result that the store has."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Retention: what gc keeps in a store: the results that pipelines need, also where parts of it are missing or corrupt.
+"""Retention: gc keeps the results in a store that pipelines need, also where parts of it are missing or corrupt.
 
 `<store>/.pipelines/<name>.json` holds the path of a pipeline file that results were made for, and the keys that its
 last runs asked for. It is kept beside the results and not in them: what an artifact from elsewhere says must not make
@@ -25,7 +25,7 @@ LIMIT = 2**20  # bytes of an entry
 
 
 class GcRoot(NamedTuple):
-    """A pipeline file that exists, what it last asked for, and whether this user ran it: then it may be read again."""
+    """A pipeline file that exists, the keys it asked for, and whether this user ran it: then it may be read again."""
 
     file: Path
     keys: frozenset[str]
@@ -89,14 +89,14 @@ def _read(entry: Path) -> tuple[str, dict[str, str]]:
 
 @dataclass
 class Kept:
-    """Keys that are needed and, where an input is not there to tell the key, the settings of what is needed."""
+    """Keys that are needed and, where an input is not there to tell the key, the settings of the result."""
 
     keys: set[str] = field(default_factory=set)
     timed: set[str] = field(default_factory=set)  # keys of what was asked of a machine, leaving the machine out
     loose: list[tuple[Node, dict[str, Any]]] = field(default_factory=list)
 
     def add(self, planner: Resolver, nodes: Iterable[Node]) -> None:
-        """Keep what these nodes need, each after its inputs."""
+        """Keep the results that these nodes need, each after its inputs."""
         artifacts: dict[str, Artifact | None] = {}
         for node in nodes:
             artifacts[node.name] = None

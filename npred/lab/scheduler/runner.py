@@ -40,7 +40,7 @@ class Outcome:
 
     @property
     def artifact(self) -> Artifact:
-        """The result. Raises what the stage raised where there is none."""
+        """The result. Raises the stage's error where there is none."""
         if self.result is None:
             raise self.error or NpredError(f"{self.node.title}: expected a result, got none; run it again")
         return self.result
@@ -86,7 +86,7 @@ class Task:
         return outcome
 
     def _make(self, console: Console, jobs: int, executor: Workers) -> tuple[Artifact, str, str]:
-        """The artifact, `run` or, where another process was faster, `hit`, and why. Raises what the stage raises."""
+        """The artifact, `run` or, where another process was faster, `hit`, and why. Raises the stage's error."""
         node, key, planner, store = self.node, self.question.key, self.planner, self.planner.store
         holders: list[str] = []
 
@@ -202,7 +202,7 @@ class Runner:
 
 
 def _check(planner: Resolver, nodes: Sequence[Node]) -> None:
-    """Raise ConfigError where the nodes ask for what there is not, MissingError where one that has to run lacks its
+    """Raise ConfigError where the nodes ask for an absent part, MissingError where one that has to run lacks its
     package: before the minutes of the stages above it.
     """
     planner.check(nodes)
@@ -256,7 +256,7 @@ class _Graph:
                 raise
 
     def _start(self) -> None:
-        """As much as the workers do side by side; what has this process for itself when nothing else is under way."""
+        """Start tasks for all workers; one that needs this process alone when nothing else is under way."""
         while self.queue and len(self.under_way) < self.workers.count:
             task = self.queue[0][-1]
             here = task.node.stage in WHOLE if self.bar else task.node.model is None
@@ -271,7 +271,7 @@ class _Graph:
                 self.under_way[self.workers.submit(self.runner.make, task)] = task
 
     def _ask(self, run: CellRun) -> None:
-        """Take what is there already of a pipeline's next nodes, and queue the rest, each key once."""
+        """Take those of a pipeline's next nodes that are there already, and queue the rest, each key once."""
         while ready := run.ready():
             for node, inputs in ready:
                 run.asked.add(node.name)

@@ -189,7 +189,7 @@ def evaluate(
     source: Source, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, device: str = "auto",
     jobs: int | None = None, progress: bool = True,
 ) -> StageResult[Evaluated]:  # fmt: skip
-    """The errors of a pipeline's networks, and what closed loops make of them: `npred evaluate` from Python.
+    """The errors of a pipeline's networks, in predictions and in closed loops: `npred evaluate` from Python.
 
     What the store does not have is generated and trained first. `result.models` has the scores of each contender
     (npred.lab.config.results.Evaluated). {"train.models": ["deeponet"]} in `settings` evaluates one network.

@@ -44,7 +44,7 @@ class Artifact:
 
     @cached_property
     def made(self) -> float:
-        """The time when it was made, in s since 1970: what the manifest says, so that a copy is as old as its original.
+        """The time when it was made, in s since 1970, by the manifest, so that a copy is as old as its original.
 
         The time of the file counts where the manifest has none, or one that is still to come.
         """
@@ -75,7 +75,7 @@ class Artifact:
 
 
 class Store:
-    """`root/<stage>/<key>/` holds a result; `.tmp`, `.scratch` and `.locks` what is needed to make one.
+    """`root/<stage>/<key>/` holds a result; `.tmp`, `.scratch` and `.locks` serve to make one.
 
     `.npred-store` says that the folder is a store: only in such a one is anything deleted.
     """
@@ -117,7 +117,7 @@ class Store:
 
     @contextmanager
     def draft(self, stage: str, key: str) -> Iterator[Path]:
-        """An empty folder to write a result in, for the holder of the key's lock; what is left of it is removed."""
+        """An empty folder to write a result in, for the holder of the key's lock; an old one is removed."""
         folder = self.root / ".tmp" / f"{stage}-{key}"
         shutil.rmtree(folder, ignore_errors=True)  # left by a process that was killed
         folder.mkdir(parents=True)

@@ -63,7 +63,7 @@ class CapturedStep:
 
 
 def record(text: Text, device: torch.device, pool: Any = None) -> tuple[Text, Any]:
-    """A function that does what `text` does, in one launch, and its memory pool, for graphs that take turns with it.
+    """A function with the effect of `text`, in one launch, and its memory pool, for graphs that take turns with it.
 
     The text is run to warm up, so that its tensors change. Raises NotCapturable, and what CUDA raises, where a graph
     cannot hold it. On the CPU it is the text itself.

@@ -1,4 +1,4 @@
-"""The training loss: errors of P, weighed by what a component costs in the control law."""
+"""The training loss: errors of P, weighed by the cost of a component in the control law."""
 
 from dataclasses import dataclass
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SafetyFilter:
-    """U as near to kappa(P) as keeps what the plant declares by safe(x, t, p, M) -> [h, ...] at h >= 0.
+    """U as near to kappa(P) as keeps the limits that the plant declares by safe(x, t, p, M) -> [h, ...] at h >= 0.
 
     U is held over a control step: the conditions are kept at both ends of it, to second order in dt. Distances of U are
     in units of its bounds' width. Where the bounds of U leave no room, the missed conditions, in units of what U can

@@ -90,7 +90,7 @@ def by_time(
 
 
 class PredictionProblem(ABC):
-    """The kernels of one plant. What a problem lacks it refuses by ConfigError, with what to do instead.
+    """The kernels of one plant. A problem refuses by ConfigError, with a cure, the kernels that it lacks.
 
     `lacks` names the methods, laws, runtimes and formats that do not serve the problem, `cures` what to use instead.
     """
@@ -103,7 +103,7 @@ class PredictionProblem(ABC):
         self.plant = plant
 
     def expected(self) -> str:
-        """The need of all that `lacks` names, and what the plant has."""
+        """The need of all that `lacks` names, and the plant's delay."""
         return ""
 
     def refusal(self, part: str) -> tuple[str, str] | None:

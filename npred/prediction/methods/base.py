@@ -85,14 +85,14 @@ class Predictor(InNotebook, ABC):
 
     @property
     def compiled(self) -> bool:
-        """True if the map, and what checks it, are compiled kernels."""
+        """True if the map, and its check, are compiled kernels."""
         return False
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of plant {self.plant.name}, nx = {self.nx}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        """The state that pickle keeps: all but what was compiled or derived, which is made again on use."""
+        """The state that pickle keeps: all but compiled and derived parts, which are made again on use."""
         return {k: v for k, v in vars(self).items() if not isinstance(getattr(type(self), k, None), cached_property)}
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The plant's own simulator, rolled forward over the delay: what one does whose plant is a black box."""
+"""The plant's own simulator, rolled forward over the delay, for a plant that is a black box."""
 
 import numpy as np
 

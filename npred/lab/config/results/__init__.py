@@ -1,4 +1,4 @@
-"""The results of the stages as frozen models of result.json: what each stage found, and the predictors compared."""
+"""The results of the stages as frozen models of result.json: each stage's findings, the predictors compared."""
 
 from npred.lab.config.results.base import (
     NO_ADAPTATION,

@@ -50,7 +50,7 @@ class Result(BaseModel):
 
     @property
     def set_values(self) -> dict[str, Any]:
-        """The values by key without those that are absent: what another result takes over."""
+        """The values by key without those that are absent, for another result to take over."""
         return {key: getattr(self, key) for key in self.model_fields_set}
 
     @classmethod
@@ -89,7 +89,7 @@ class PredictorId:
 
     @classmethod
     def parse(cls, name: "str | PredictorId") -> "PredictorId":
-        """The predictor of a name. Raises ValueError where what follows the @ is no epoch."""
+        """The predictor of a name. Raises ValueError where no epoch follows the @."""
         if isinstance(name, PredictorId):
             return name
         model, at, epoch = name.rpartition("@")
@@ -202,7 +202,7 @@ class JudgedLoops(Result):
 
 
 class Tuned(Result):
-    """What was gained; pairs are before, after."""
+    """The gain; pairs are before, after."""
 
     pipeline: str  #: its name
     plant: str  #: its name

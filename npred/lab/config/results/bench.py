@@ -67,7 +67,7 @@ class Crossover(Result):
 
 
 class BreakEven(Result):
-    """What `npred bench --no-networks` says before a network is trained."""
+    """The answer of `npred bench --no-networks`, before a network is trained."""
 
     plant: str  #: its name
     network: str  #: the network whose call is timed, with random weights

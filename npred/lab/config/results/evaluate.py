@@ -54,7 +54,7 @@ class Radius(Radii):
 
 
 class Limits(Result):
-    """How loops keep what the plant declares by `safe`, over the cases."""
+    """How loops keep the limits that the plant declares by `safe`, over the cases."""
 
     least: float | None  #: the smallest h at the kept times; `null` where a loop leaves the finite numbers
     filtered: float | None  #: share of the control steps in which the safety filter changed U; `null` without one

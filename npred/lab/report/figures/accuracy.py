@@ -1,4 +1,4 @@
-"""The accuracy of networks: how they learn, their errors on held-out samples, and what is known of them for certain."""
+"""The accuracy of networks: how they learn, their errors on held-out samples, and their certificates."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -40,7 +40,7 @@ COLOURS = {light: role for role, (light, _) in ROLES.items()}
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes: its title says what is drawn upwards, `alt` says in words what can be seen."""
+    """One pair of axes: its title names the upward axis, `alt` describes the picture in words."""
 
     title: str
     alt: str
@@ -57,7 +57,7 @@ class LegendEntry:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of several panels with one legend; `name` is its file's, `caption` says what to see in it."""
+    """A figure of several panels with one legend; `name` is its file's, `caption` explains it."""
 
     name: str
     title: str

@@ -1,4 +1,4 @@
-"""The figures of an identification: recorded and fitted outputs, the cost of each delay, and what is left over."""
+"""The figures of an identification: recorded and fitted outputs, the cost of each delay, and the residuals."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -16,7 +16,7 @@ POINTS = LineStyle("blue", marker=".")
 
 
 def figures(plant: Plant, drawn: dict[str, Any]) -> Iterator[Figure]:
-    """The figures of one identification; `drawn` is what npred.lab.stages.identify has written."""
+    """The figures of one identification; `drawn` has the arrays that npred.lab.stages.identify wrote."""
     t, time, level, rho = drawn["t"], timed(plant, "t"), drawn["level"], drawn["autocorrelation"]
     panels = []
     for name, recorded, fitted in zip(plant.outputs, drawn["Y"].T, drawn["fitted"].T, strict=True):

@@ -112,7 +112,7 @@ def _latex_cell(text: str) -> str:
 
 
 def _latex(text: str) -> str:
-    """The text for LaTeX; what `_{…}` lowers is set upright."""
+    """The text for LaTeX; letters that `_{…}` lowers are set upright."""
 
     def greek(letter: re.Match[str]) -> str:
         name = unicodedata.name(letter[0]).split()[-1].lower()  # Unicode's name of a letter ends in its command

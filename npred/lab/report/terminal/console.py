@@ -1,4 +1,4 @@
-"""The console: data on stdout, messages on stderr, no bars where stderr is no terminal; and what a run leaves in words.
+"""The console: data on stdout, messages on stderr, no bars where stderr is no terminal; and the log that a run leaves.
 
 That is a log, a text file in the store's folder with its messages and each epoch of a training, and on request the
 epochs as TensorBoard's event files.
@@ -34,7 +34,7 @@ LOG = re.compile(r"\d{4}-\d\d-\d\d-\d{6}-.*\.log")
 
 
 class RunLog:
-    """An open log. What cannot be written, on a full disk say, is left out: no run ends for its log."""
+    """An open log. A line that cannot be written, on a full disk say, is left out: no run ends for its log."""
 
     def __init__(self, path: Path, file: TextIO) -> None:
         self.path, self.file = path, file
@@ -128,7 +128,7 @@ class Console:
         streams.answer(streams.folded(streams.printable(text), self.width))
 
     def json(self, document: object) -> None:
-        """One JSON document on stdout, with escapes for what a terminal obeys. Raises NpredError as `out` does."""
+        """One JSON document on stdout, with escapes for bytes a terminal obeys. Raises NpredError as `out` does."""
         text = json.dumps(document, indent=2, ensure_ascii=not streams.is_utf8(sys.stdout), allow_nan=False)
         streams.answer("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 

@@ -53,7 +53,7 @@ def listen() -> None:
 
 
 def interrupted() -> bool:
-    """True if a signal has arrived: what failed since may have failed of it."""
+    """True if a signal has arrived: later failures may come from it."""
     return bool(_received)
 
 
@@ -128,7 +128,7 @@ def _leave() -> None:
 
 
 def _bounded(call: Callable[[], None]) -> None:
-    """Run what may wait for others, as for a queue that nobody reads: for GRACE seconds at most."""
+    """Run a function that may wait for others, as for a queue that nobody reads: for GRACE seconds at most."""
     over = _thread.allocate_lock()
     over.acquire()
 

@@ -1,4 +1,4 @@
-"""The live view of a run: each stage, what it does, for how long and how far.
+"""The live view of a run: each stage, its work, for how long and how far.
 
 A terminal rewrites it; in a notebook it is one output below the cell, which is updated in place and stays as it ends.
 """
@@ -120,7 +120,7 @@ def is_notebook() -> bool:
 
 
 class NotebookConsole(Console):
-    """A console whose live view is an output of a notebook. Its notes are what the view shows; warnings stand below."""
+    """A console whose live view is an output of a notebook. The view shows its notes; warnings stand below."""
 
     @contextmanager
     def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:

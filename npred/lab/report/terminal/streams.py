@@ -1,4 +1,4 @@
-"""The streams that people read: what may go there, in which encoding, and what becomes of one that is closed or full.
+"""The streams that people read: which text may go there, in which encoding, and how a closed or full one ends.
 
 All of npred's words on stdout and stderr pass through here, so that no text of a result, a plant or an error moves the
 cursor, turns the direction of writing or hides behind characters without a width.
@@ -75,7 +75,7 @@ def unwritable(reason: str | None) -> NpredError:
 
 
 def silence(stream: TextIO) -> None:
-    """Send what a stream still holds to nowhere: Python would fail to write it when it ends."""
+    """Send the rest of a stream to nowhere: Python would fail to write it when it ends."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
@@ -100,7 +100,7 @@ class Messages:
         return getattr(sys.stderr, "encoding", None) or "utf-8"
 
     def write(self, text: str) -> int:
-        """Write what can be written."""
+        """Write as much of the text as can be written."""
         try:
             sys.stderr.write(text)
         except (OSError, ValueError):
@@ -108,7 +108,7 @@ class Messages:
         return len(text)
 
     def flush(self) -> None:
-        """Flush what can be flushed."""
+        """Flush, where that is possible."""
         try:
             sys.stderr.flush()
         except (OSError, ValueError):

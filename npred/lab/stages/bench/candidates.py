@@ -171,7 +171,7 @@ def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: s
 
 
 def one_step_methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
-    """The methods of a step per interval that serve the plant, by what their rows are called: those that have a name,
+    """The methods of a step per interval that serve the plant, by their rows' names: those that have a name,
     and those that the pipeline takes.
     """
     kinds = {short_name(spec): method(spec) for spec in config.methods}

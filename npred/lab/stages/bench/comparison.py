@@ -71,7 +71,7 @@ def compare(
     plant: Plant, predictors: Mapping[str, Predictor] | Sequence[Predictor], *, X0: Any, t_end: float, D: Any = None,
     D_hat: Any = None, dt: float = 0.005, **loop: Any,
 ) -> Comparison:  # fmt: skip
-    """The predictors of a plant, each timed, with its error, and with what it makes of the same loops.
+    """The predictors of a plant, each timed, with its error, and with its results in the same loops.
 
     Errors are taken along these loops with RK4, on at most 200 samples after the first delay, against RK4 on 2000
     steps. Calls are of one loop, as a compiled loop makes them, all predictors in turn. A loop has converged that ends

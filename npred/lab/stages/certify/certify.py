@@ -68,7 +68,7 @@ def run(job: Job) -> Certified:
 
 
 def summary(result: Certified, width: int | None = None) -> str:
-    """A sentence about what holds, and a row per network."""
+    """A sentence about the statement, and a row per network."""
     first = next(iter(result.models.values()))
     about = (
         f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "

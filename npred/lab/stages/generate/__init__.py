@@ -9,7 +9,7 @@ STAGE = Stage(__name__, version=4, upstream=(), result_class="npred.lab.config.r
 
 
 def key(slices: Slices) -> dict[str, Any]:
-    """The table; data of a file enter by what they are."""
+    """The table; data of a file enter by their content."""
     from npred.lab.scheduler.configuration import content
 
     section = slices.loop("generate")

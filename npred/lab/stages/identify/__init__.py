@@ -1,4 +1,4 @@
-"""The delay and the parameters of a plant by a recording of it, and what the recording does not tell."""
+"""The delay and the parameters of a plant by a recording of it, and their limits."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ STAGE = Stage(
 
 
 def key(slices: Slices) -> dict[str, Any]:
-    """The table; the recording enters by what it holds, and the measured outputs by their formulas."""
+    """The table; the recording enters by its content, and the measured outputs by their formulas."""
     from npred.lab.scheduler.configuration import content, table
 
     section = table(slices.config.optional("identify"))

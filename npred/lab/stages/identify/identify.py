@@ -1,4 +1,4 @@
-"""The identify stage: a recording read, the plant fitted to it, a page of what it tells."""
+"""The identify stage: a recording read, the plant fitted to it, a page of the answer."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ LAGS = 40
 
 
 def run(job: Job) -> IdentifiedResult:
-    """Write page.html, its figures, and identified.h5 with what they draw."""
+    """Write page.html, its figures, and identified.h5 with their arrays."""
     table, plant = job.config.optional("identify"), job.plant
     if not table.data:
         raise ConfigError(

@@ -20,7 +20,7 @@ STAGE = Stage(
 
 
 def key(slices: Slices) -> dict[str, Any]:
-    """The network's table; a network of a file enters by what that holds."""
+    """The network's table; a network of a file enters by its content."""
     from npred.lab.config import Network
     from npred.lab.scheduler.configuration import table
 

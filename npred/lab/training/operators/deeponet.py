@@ -1,4 +1,4 @@
-"""DeepONet [Lu et al. 2021, doi:10.1038/s42256-021-00302-5], and what other networks see of u(x) and build on too.
+"""DeepONet [Lu et al. 2021, doi:10.1038/s42256-021-00302-5], and the view of u(x) that other networks build on too.
 
 Features of u are linear functionals of its interpolant, the same on every grid.
 """
