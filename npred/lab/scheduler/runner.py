@@ -24,7 +24,7 @@ from npred.lab.store import Artifact, Question, claims, short
 from npred.lab.store.claims import Claim
 from npred.lab.store.manifest import versions
 
-WHOLE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
+EXCLUSIVE = {"generate": 0, "bench": 2}  # they use the whole machine: before all else, and after it
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ class _Graph:
         """Start tasks for all workers; one that needs this process alone when nothing else is under way."""
         while self.queue and len(self.under_way) < self.workers.count:
             task = self.queue[0][-1]
-            here = task.node.stage in WHOLE if self.bar else task.node.model is None
+            here = task.node.stage in EXCLUSIVE if self.bar else task.node.model is None
             if here and self.under_way:
                 return
             heapq.heappop(self.queue)
@@ -296,7 +296,7 @@ class _Graph:
                 step = planner.step(node, question)
             if step.artifact is None:
                 task = Task(planner, node, question, step.reason, inputs)
-                turn = WHOLE.get(node.stage, 1), run.number, run.nodes.index(node)
+                turn = EXCLUSIVE.get(node.stage, 1), run.number, run.nodes.index(node)
                 heapq.heappush(self.queue, (*turn, task.with_absolute_paths() if self.bar else task))
                 return
             if step.reason != UP_TO_DATE and not self.bar:
