@@ -37,21 +37,23 @@ static INLINED void transport(Shape d, INDEX k, double part, double dt, const do
                 const double node = 1.0 - (double)j / (double)last, edge = larger(1.0 - ((double)j + 0.5) / (double)last, 0.0);
                 const ptrdiff_t row = ((ptrdiff_t)j * d.m + c) * d.lanes + from;
                 for (int l = 0; l < width; l++) {
-                    const double s = now - edge * span[l], sum_s = sum_to(s, c, from + l, d, wrap, held, total);
+                    const double s = now - edge * span[l], position = now - node * span[l];
+                    const double sum_s = sum_to(s, c, from + l, d, wrap, held, total);
+                    INDEX i = (INDEX)(position + ROUNDING), after;
+                    i = i < newest ? i : newest;
+                    after = i < newest ? i + 1 : newest;
                     u[row + l] = s > before[l]
                                      ? (sum_s - sum_before[l]) / (s - before[l])
                                      : held[((ptrdiff_t)modulo(newest, d.rows) * d.m + c) * d.lanes + from + l];
                     before[l] = s;
                     sum_before[l] = sum_s;
                     if (u_nodes) {
-                        const double position = now - node * span[l];
-                        const INDEX at = (INDEX)(position + ROUNDING), i = at < newest ? at : newest;
-                        const INDEX next = i < newest ? i + 1 : newest;
                         const INDEX here = i < wrap ? i - wrap + d.rows : i - wrap;
-                        const INDEX there = next < wrap ? next - wrap + d.rows : next - wrap;
                         const double begin = held[((ptrdiff_t)here * d.m + c) * d.lanes + from + l];
-                        const double end = held[((ptrdiff_t)there * d.m + c) * d.lanes + from + l];
-                        u_nodes[row + l] = begin + larger(position - (double)i, 0.0) * (end - begin);
+                        after = after < wrap ? after - wrap + d.rows : after - wrap;
+                        u_nodes[row + l] =
+                            begin + larger(position - (double)i, 0.0) *
+                                        (held[((ptrdiff_t)after * d.m + c) * d.lanes + from + l] - begin);
                     }
                 }
             }
