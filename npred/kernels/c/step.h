@@ -105,10 +105,8 @@ static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, 
     } else if (s->reads_commands) {
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
-    if (s->stores_commands && q->update) {
-        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, z->u_nodes);
-    } else if (s->stores_commands) {
-        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, NULL);
+    if (s->stores_commands) {
+        transport(d, k, part, s->dt, z->D_seen, z->held, z->total, z->u, q->update ? z->u_nodes : NULL);
     }
     if (s->offsets) {
         offset(d, d.nx, 1.0, z->filter + d.n, z->u);
