@@ -14,7 +14,7 @@ ZIG := $(if $(shell command -v cc || command -v gcc || command -v clang),,ziglan
 all: install ## set up, then run the paper's whole experiment (what is done already is not done again)
 	$(BIN)/npred run $(PIPELINE)
 
-install: $(VENV)/.installed ## set up .venv with npred in it, and torch, by which networks are trained
+install: $(VENV)/.installed ## set up .venv with npred in it, torch, by which networks are trained, and what reads recordings
 
 dev: $(VENV)/.installed-dev ## the same with what the tests need
 
@@ -64,7 +64,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e ".[train]" $(ZIG)
+	$(PIP) -e ".[identify,train]" $(ZIG)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.identification.recordings.csv import Csv
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves
 from npred.lab.report.figures.notation import quantity, timed
 from npred.lab.report.figures.style import LineStyle
@@ -63,8 +62,11 @@ class RigLog(NamedTuple):
 
 def read(path: Path) -> RigLog:
     """The log in a file."""
-    table, (last,) = Csv(path), deque(path.open(encoding="utf-8"), maxlen=1)
-    columns = {name: series.values for name, series in table.series(table.columns(), "t", "s").items()}
+    with path.open(encoding="utf-8") as file:
+        names = file.readline().strip().split(",")
+    (last,) = deque(path.open(encoding="utf-8"), maxlen=1)
+    table = np.loadtxt(path, delimiter=",", skiprows=1, converters=lambda cell: float(cell or "nan"), ndmin=2)
+    columns = dict(zip(names, table.T, strict=True))
     called, why = np.isfinite(columns["rig.late"]), last.removeprefix(END).strip() if last.startswith(END) else ""
     calls, samples = ({name: column[rows] for name, column in columns.items()} for rows in (called, ~called))
     return RigLog(calls, samples, why)

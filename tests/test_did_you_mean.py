@@ -57,7 +57,6 @@ COMMANDS = {  # what is written after npred, and the name that was meant
     "reproduce unicycle_constnt": "unicycle_constant",
     "identify log.csv --plant scalar --time-unit mss": "ms",
     "identify log.csv --plant scalar --input UU=U": "U",
-    "identify log.cvs --plant scalar": "csv",
 }
 CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "attribute": (lambda: npred.simulat, "simulate"),

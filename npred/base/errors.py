@@ -33,7 +33,7 @@ class ConfigError(NpredError, ValueError):
 
 
 class UnmetError(NpredError):
-    """The answer is no: an unmet gate, or `status --check` with something stale."""
+    """The answer is no: an unmet gate, `status --check` with something stale, a recording without a pipeline."""
 
     exit_code = 3
 
@@ -56,6 +56,7 @@ class DivergedError(NpredError):
 
 EXTRAS = {  # the packages that a small installation lacks, by the extra that has them
     "torch": "train", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "scipy": "experiments",
+    "pandas": "identify",
     "mcap": "mcap", "rosbags": "rosbag", "pyulog": "ulog",
 }  # fmt: skip
 

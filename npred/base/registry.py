@@ -236,9 +236,12 @@ RECORDINGS = Registry(  # by the suffix of a file
     "recording",
     "npred.recordings",
     {
-        "csv": Entry("npred.identification.recordings.csv:Csv", "CSV"),
-        "txt": Entry("npred.identification.recordings.csv:Csv", "CSV"),
-        "tsv": Entry("npred.identification.recordings.csv:Csv", "TSV"),
+        **{
+            suffix: Entry("npred.identification.recordings.text:Text", "table of text", extra="identify")
+            for suffix in ("csv", "txt", "tsv", "dat", "asc", "log", "lvm")
+        },
+        "mat": Entry("npred.identification.recordings.arrays:Mat", ".mat", extra="identify"),
+        "json": Entry("npred.identification.recordings.arrays:Json", "JSON", extra="identify"),
         "mcap": Entry("npred.identification.recordings.mcap:Mcap", "MCAP"),
         "bag": Entry("npred.identification.recordings.rosbag:Rosbag", "ROS 1 bag"),
         "db3": Entry("npred.identification.recordings.rosbag:Rosbag", "ROS 2 bag"),

@@ -68,7 +68,7 @@ def bench(
     for text in options.set or []:
         config.override(table, text)
     pipeline = config.parse(table, str(source))
-    plant = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
+    plant = plants.resolve(*pipeline.of_plant)
     measured = without_networks.measure(pipeline, plant)
     options.show(measured.json_object(), lambda: without_networks.summary(measured, options.console.width))
 
@@ -93,7 +93,7 @@ def report(
     default = free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}-{figures}")
     folder = writable_folder(output or default, "figures")
     folders = {done.node.name: done.artifact.folder for done in bring(options, ["evaluate", "bench"], borrows=True)}
-    plant = plants.resolve(options.config.plant, options.config.parameters, options.config.kappa)
+    plant = plants.resolve(*options.config.of_plant)
     results = PipelineResults(options.config, plant, folders)
     with room_on_disk(folder):
         files = write_figures(results, folder, MEDIA[figures])

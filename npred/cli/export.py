@@ -96,7 +96,7 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     else:
         file = defaults.pipeline(path)
     pipeline = config.load(file, options.overrides)
-    table, plant = pipeline.evaluate, plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
+    table, plant = pipeline.evaluate, plants.resolve(*pipeline.of_plant)
     nx = options.nx or table.nx
     exact = numerical(table.predictor, plant, nx)
     guard = dict(table.guard) if table.guard and model else {}

@@ -7,30 +7,34 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-from npred.base.errors import ConfigError
+import numpy as np
+
+from npred.base.errors import ConfigError, UnmetError
 from npred.cli.execute import bring
 from npred.cli.options import Work, argument, flag, rewritable
+from npred.identification.recordings import USUAL
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import IdentifiedResult
+from npred.lab.stages.identify import pipeline
 from npred.lab.stages.identify.identify import PAGE
 from npred.lab.stages.report import toml_text
-from npred.plants import Plant
 
 
 @dataclass(frozen=True)
 class Recorded(Work):
     """Flags of the command that reads a recording; each has its place in the table [identify]."""
 
-    pipeline_name: Annotated[
-        str | None, argument("LOG", "A recording, as log.csv; or a pipeline that names one.", default=False)
+    pipeline_name: Annotated[  # type: ignore[assignment]  here there may be several
+        list[str] | None,
+        argument("LOG...", "Recordings of one plant, as log.csv; or a pipeline that names them.", default=False),
     ] = None
     plant: Annotated[str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT")] = None
     time: Annotated[str | None, flag("The column of the times.", word="COLUMN")] = None
-    time_unit: Annotated[str | None, flag("Unit of the time column.", word="s|ms|us|ns|min|h")] = None
-    input: Annotated[
-        list[str] | None, flag("An input and its column, as q=Q1; repeatable.", "--input", word="NAME=COLUMN")
-    ] = None
+    time_unit: Annotated[str | None, flag("Unit of the time column.", word="|".join(USUAL))] = None
+    period: Annotated[float | None, flag("Time from row to row, in the plant's unit, of a log without times.")] = None
+    hold: Annotated[str | None, flag("Input between two commands: the last, or a line.", word="zero|linear")] = None
+    input: Annotated[list[str] | None, flag("An input's column, as q=Q1; repeatable.", word="NAME=COLUMN")] = None
     state: Annotated[
         list[str] | None,
         flag("A state or output and its column, as h=T1.", "--state", "--output-column", word="NAME=COLUMN"),
@@ -42,18 +46,24 @@ class Recorded(Work):
     longest: Annotated[float | None, flag("The longest delay to try; by default a fifth of the log.")] = None
     offset: Annotated[bool, flag("Estimate a constant that is added to each input.", "--offset")] = False
     time_varying: Annotated[bool, flag("Estimate the delays over windows of time, too.", "--time-varying")] = False
-    model_error: Annotated[float | None, flag("How far other parameters may be off, relatively; 0.05 by default.")] = (
-        None
-    )
+    model_error: Annotated[float | None, flag("Relative error of the other parameters; 0.05 by default.")] = None
 
     @cached_property
     def pipeline(self) -> Path:
-        """The recording, or the pipeline that names it."""
-        if self.pipeline_name is None:
-            raise ConfigError(
-                "identify: expected a recording, got none; write npred identify log.csv --plant my_plant.py:Tank"
-            )
-        return Path(self.pipeline_name)
+        """The first recording, or the pipeline that names them."""
+        return self.logs[0]
+
+    @cached_property
+    def logs(self) -> list[Path]:
+        """The recordings, or the pipeline that names them."""
+        logs = [Path(name) for name in self.pipeline_name or []]
+        if not logs:
+            todo = "write npred identify log.csv --plant my_plant.py:Tank"
+            raise ConfigError(f"identify: expected a recording, got none; {todo}")
+        if len(logs) > 1 and any(log.suffix == ".toml" for log in logs):
+            got = ", ".join(map(str, logs))
+            raise ConfigError(f"identify: expected recordings, or one pipeline, got {got}; name them by data in that")
+        return logs
 
     @cached_property
     def config(self) -> Pipeline:
@@ -63,21 +73,25 @@ class Recorded(Work):
             table = config.table(self.pipeline)
         elif self.plant:
             table = {"name": re.sub(r"[^\w.-]+", "_", self.pipeline.stem).strip("._-") or "log"}
-            table |= {"identify": {"data": str(self.pipeline)}}
+            names = [str(log) for log in self.logs]
+            table |= {"identify": {"data": names[0] if len(names) == 1 else names}}
         else:
             raise ConfigError(f"--plant: expected the plant of {self.pipeline}, got none; add --plant my_plant.py:Tank")
         table |= {"plant": self.plant} if self.plant else {}
         columns = _pairs(self.input, "--input NAME=COLUMN") | _pairs(self.state, "--state NAME=COLUMN")
         ranges = _pairs(self.bounds, "--bounds NAME=LOW:HIGH")
         named = {
-            "time": self.time, "time_unit": self.time_unit, "longest": self.longest, "model_error": self.model_error,
-            "free": self.free, "offset": self.offset or None, "time_varying": self.time_varying or None,
+            "time": self.time, "time_unit": self.time_unit, "period": self.period, "hold": self.hold, "free": self.free,
+            "longest": self.longest, "model_error": self.model_error, "offset": self.offset or None,
+            "time_varying": self.time_varying or None,
             "columns": columns,
             "scale": {key: _number(text) for key, text in _pairs(self.scale, "--scale COLUMN=FACTOR").items()},
             "shift": {key: _number(text) for key, text in _pairs(self.shift, "--shift COLUMN=NUMBER").items()},
             "bounds": {key: [_number(end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
-        table.setdefault("identify", {}).update({key: value for key, value in named.items() if value})
+        table.setdefault("identify", {}).update(
+            {key: value for key, value in named.items() if value not in (None, [], {})}
+        )
         for override in self.set or []:
             config.override(table, override)
         return config.parse(table, str(self.pipeline))
@@ -104,8 +118,15 @@ def identify(
     output: Annotated[
         Path | None, flag("The pipeline that is written; LOG's name with .toml, here, by default.", "-o", "--output")
     ] = None,
+    accept: Annotated[
+        bool, flag("Take the range that is left of a delay that is not identifiable, as bounds of D_hat.", "--accept")
+    ] = False,
 ) -> None:
-    """The answer of the stage; the page and the pipeline are written beside each other."""
+    """The answer of the stage; the page and the pipeline are written beside each other.
+
+    Raises UnmetError where no pipeline is written: the model is refused, or the delay is not identifiable and not
+    accepted, or `npred plants check` would say no of the pipeline.
+    """
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
     path = output or Path(f"{options.config.name}.toml")
@@ -115,33 +136,28 @@ def identify(
     except OSError as error:
         todo = "name another by -o"
         raise ConfigError(f"{page}: expected a file that can be written, got: {error.strerror}; {todo}") from None
-    files = [page] + ([_pipeline(options, plant, result, path)] if all(result.identifiable) else [])
-    said = "\n".join([*result.sentences, *(f"wrote {file}" for file in files)])
-    if not all(result.identifiable):
-        said += "\nno pipeline was written: the recording does not tell the delay"
-    options.show(result.json_object() | {"files": list(map(str, files))}, lambda: said)
-
-
-def _pipeline(options: Recorded, plant: Plant, result: IdentifiedResult, path: Path) -> Path:
-    """The pipeline file with the longest delay and its interval, and the parameters. Another's file is left alone."""
-    target = rewritable(path, "identify")
-    longest = max(range(plant.m), key=lambda j: result.D[j])
-    D, (low, high) = result.D[longest], result.interval[longest]
-    loop = {"D": float(f"{D:.6g}"), "bounds": [float(f"{end:.6g}") for end in (low, high)]}
-    middle = [
-        sum(plant.box[state]) / 2 if state in plant.box else float(x)
-        for state, x in zip(plant.states, plant.guess, strict=True)
-    ]
-    loop |= {} if plant.declares_V else {"adaptation": "delay-observer", "actuator": "history"}
-    tables = {
-        "name": options.config.name, "plant": options.config.plant,
-        **({"kappa": options.config.kappa} if options.config.kappa else {}),
-        "parameters": options.config.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters},
-        "generate": loop, "evaluate": loop | {"X0": middle},
-    }  # fmt: skip
-    head = f"{target} {options.pipeline.name}\n" + "".join(f"# {sentence}\n" for sentence in result.sentences)
-    if plant.m > 1 and plant.one_delay:
-        delays = ", ".join(f"{delay:.6g}" for delay in result.D)
-        head += f"# The inputs have different delays: write delays = ({delays}) in the plant's class.\n"
-    path.write_text(f"{head}\n{toml_text.dumps(tables)}", encoding="utf-8")
-    return path
+    files, remarks, refusal = [page], [], ""
+    unknown = [span for span, certain in zip(result.interval, result.identifiable, strict=True) if not certain]
+    if result.refused:
+        refusal = "the recording contradicts the model; change the plant, or record more"
+    elif not np.isfinite(unknown).all():
+        refusal = "the recording leaves no bounded range of the delay; give --longest, or record more steps"
+    elif unknown and not accept:
+        spans = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in unknown)
+        refusal = f"the recording does not tell the delay; --accept takes the range that is left, {spans}"
+        refusal = f"{refusal} {plant.time_unit}".rstrip()
+    else:
+        target = rewritable(path, "identify")
+        try:
+            tables, remarks = pipeline.composed(options.config, plant, result, path)
+        except ConfigError as error:
+            refusal = str(error)
+        else:
+            head = "".join(f"# {line}\n" for line in [*result.sentences, *remarks])
+            logs = " ".join(log.name for log in options.logs)
+            path.write_text(f"{target} {logs}\n{head}\n{toml_text.dumps(tables)}", encoding="utf-8")
+            files.append(path)
+    said = "\n".join([*result.sentences, *remarks, *(f"wrote {file}" for file in files)])
+    options.show(result.json_object() | {"remarks": remarks, "files": list(map(str, files))}, lambda: said)
+    if refusal:
+        raise UnmetError(f"no pipeline was written: {refusal}")

@@ -174,8 +174,8 @@ def check(
     from npred.lab.scheduler import pipeline_fit
 
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
-    parts = (pipeline.plant, pipeline.parameters, kappa or pipeline.kappa) if pipeline else (plant, {}, kappa)
-    asked, plot = plants.resolve(*parts), figure and drawable(figure)
+    name, parameters, law, delays = pipeline.of_plant if pipeline else (plant, {}, "", None)
+    asked, plot = plants.resolve(name, parameters, kappa or law, delays), figure and drawable(figure)
     settings = {"delay": delay, "nodes": nodes, "u0": u0 and config.value(u0)}
     answers = pipeline_fit.check(asked, pipeline, **settings) if pipeline else diagnosis.check(asked, **settings)
     fine = diagnosis.settled(answers)

@@ -69,27 +69,8 @@ class DelayAdaptation(DelayLaw):
 
         X (..., n), u (..., nx, m), P (..., nx, n), D_hat (...) to phi (...). w = u - kappa(P, s) at s = t + x D_hat,
         and q1 = kappa_P r + kappa_s with dr/dx = D_hat (f_P r + f_s), r(0) = f(P(0), u(0), t): [DAPF, eq. 14] where
-        f and kappa know no time. The integrals by the trapezoidal rule, r by Heun's method.
-
-        Parameters
-        ----------
-        plant : Plant
-            From npred.plant.
-        X : array (..., n), in the plant's units
-            States.
-        u : array (..., nx, m), in the plant's units
-            Inputs under way on the nodes of [0, 1]; (nx,) for one sample of one input.
-        P : array (..., nx, n), in the plant's units
-            Prediction on the nodes of [0, 1].
-        D_hat : array (...), in the plant's unit of time
-            Estimate of the delay; None for a plant that declares it.
-        t : array (...), in the plant's unit of time, default 0.0
-            Times.
-
-        Raises
-        ------
-        ConfigError
-            Where the shapes do not fit the plant or each other.
+        f and kappa know no time. The integrals by the trapezoidal rule, r by Heun's method. Raises ConfigError where
+        the shapes do not fit the plant or each other.
         """
         named = (("X", X), ("u", u), ("P", P), ("D_hat", D_hat))
         X, u, P, D_hat = (array_checks.floats(name, a) for name, a in named)

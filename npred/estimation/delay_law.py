@@ -84,21 +84,6 @@ class DelayLaw(ABC):
 
         u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
         to the bounds after each step.
-
-        Parameters
-        ----------
-        plant : Plant
-            From npred.plant.
-        X : array (..., n), in the plant's units
-            States.
-        u : array (..., nx, m), in the plant's units
-            Inputs under way on the nodes of [0, 1]; (nx,) for one sample of one input.
-        P : array (..., nx, n), in the plant's units
-            Prediction on the nodes of [0, 1].
-        D_hat : array (...), in the plant's unit of time
-            Estimate of the delay; None for a plant that declares it.
-        t : array (...), in the plant's unit of time
-            Times.
         """
 
     def kernel(self, plant: Plant) -> Kernel | None:

@@ -5,17 +5,21 @@ difference of their costs has to be large, and larger than its scatter over the 
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from npred.identification import search
 from npred.identification.estimate import Delays
 from npred.identification.fit import Prior, Problem, SegmentFit, better
-from npred.identification.log import Segments, mean_square, spread
+from npred.identification.log import Segments, spread
 
 NONE = 1e-9  # in sampling periods: a shorter lag is none
 HELD_BACK = 0.25
-DECIDING = 8000  # samples, by which models are compared
+DECIDING = 5000  # samples, by which models are compared
+CLEARLY, MOSTLY = 1.25, 0.6  # a rival errs so much less, in this share of the segments: the model is contradicted
+ORDER = 4.0  # times the least cost: a fit that is not of another order
+HUGE = 1e60  # square of an error at which a model has run away
 SHARES = 0.15, 0.3, 0.5, 0.75, 1.0  # lags to try, as shares of the delay
 
 
@@ -25,7 +29,16 @@ class Alternative:
 
     lag: float  # s, of a first-order lag in place of the delay
     as_good: bool  # the log does not prefer the delay
+    short: bool  # the lag is shorter than a sampling period, which is as good as none
+    least: float  # the shortest delay with a lag behind it that is not clearly worse than the delay alone
     behind: tuple[float, float] | None  # a delay and a lag that are clearly better than the delay alone
+
+
+class Validation(NamedTuple):
+    """The rms errors of the model and its rivals on the held-back part, and the rival that is clearly better."""
+
+    errors: dict[str, float]
+    better: str | None
 
 
 @dataclass(frozen=True)
@@ -55,19 +68,67 @@ def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest
 
 
 def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
-    """The rms of each output (outputs,) over the last two thirds of segments that the model was not fitted to.
+    """The mean squares (S, outputs) over the last two thirds of segments that the model was not fitted to.
 
     Their first thirds give the initial states.
     """
-    fit, third = candidate.fit, max(2, segments.t.shape[1] // 3)
+    fit, third = candidate.fit, _third(segments)
     head = segments.Y.copy()
     head[:, third:] = np.nan
     theta = fit.thetas(np.ones((1, len(fit.e))))[0]
     fixed = Prior(theta, np.ones(len(theta)), np.stack([theta, theta]))
     problem = replace(candidate.problem, segments=replace(segments, Y=head), prior=fixed)
     start = problem.fit(fit.delays, None, 4, candidate.lags)
-    r = (segments.Y - problem.outputs(start, candidate.lags))[:, third:]
-    return np.sqrt(mean_square(r))
+    outputs = problem.outputs(start, candidate.lags)
+    return _squares((segments.Y - np.where(np.isnan(outputs), np.inf, outputs))[:, third:])
+
+
+def static_error(train: Segments, later: Segments, delays: list[np.ndarray]) -> np.ndarray:
+    """The same of constant gains, y = a + b u(t - D), with the best of these delays (m,), fitted to `train`."""
+    best: tuple[float, np.ndarray] = np.inf, np.zeros((1, 1))
+    Y, third = train.Y[train.mask], _third(later)
+    for D in delays:
+        A, B = (np.concatenate([np.ones((*s.t.shape, 1)), s.log.arrived(s.t, D)], axis=-1) for s in (train, later))
+        gains = np.zeros((A.shape[-1], Y.shape[1]))
+        for k, y in enumerate(Y.T):
+            rows = np.isfinite(y)
+            gains[:, k] = np.linalg.lstsq(A[train.mask][rows], y[rows], rcond=None)[0]
+        cost = float(np.nansum(((Y - A[train.mask] @ gains) / (spread(Y) + 1e-300)) ** 2))
+        if cost < best[0]:
+            best = cost, (later.Y - B @ gains)[:, third:]
+    return _squares(best[1])
+
+
+def _third(segments: Segments) -> int:
+    return max(2, segments.t.shape[1] // 3)
+
+
+def _squares(r: np.ndarray) -> np.ndarray:
+    """The means (S, outputs) of the squares of finite r (S, K, outputs); infinite where a model has run away."""
+    with np.errstate(all="ignore"):
+        squares, finite = np.minimum(r**2, HUGE), ~np.isnan(r)
+    return np.where(finite, squares, 0.0).sum(axis=1) / np.maximum(finite.sum(axis=1), 1)
+
+
+def recurs(delays: Delays, periods: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(m,) True where the delay of an input may as well be one of its `periods` (m,) longer or shorter: the cost there
+    is not of another order.
+    """
+    few, period = delays.problem.some(DECIDING), delays.problem.segments.log.period
+    best, recurring = few.fit(delays.values, replace(delays.fit, X=few.start()[0]), 4), np.zeros(len(low), dtype=bool)
+
+    def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
+        return few.fit(z, start, 2)
+
+    for j in np.flatnonzero(periods < high):
+        for side in (-1.0, 1.0):
+            place = delays.values.copy()
+            place[j] += side * periods[j]
+            if low[j] <= place[j] <= high[j]:
+                ends = np.maximum(place - 2 * period, low), np.minimum(place + 2 * period, high)
+                _, other, _ = search.descend(at, at(place, best), place, *ends, period, period / 8)
+                recurring[j] |= other.cost < ORDER * best.cost
+    return recurring
 
 
 def thinned(delays: Delays) -> Delays:
@@ -80,13 +141,13 @@ def thinned(delays: Delays) -> Delays:
 
 def of_input(delays: Delays, j: int, high: float) -> Alternative:
     """A lag in place of the delay of input j, and one behind it, against the delay alone."""
-    instead = lag_instead(delays.problem, delays.values, [j], high)
+    instead, period = lag_instead(delays.problem, delays.values, [j], high), delays.problem.segments.log.period
     assert instead.lags is not None
     as_good, behind = not better(delays.fit, instead.fit, delays.inflation), None
     if as_good or not delays.values[j] > 0:
-        return Alternative(float(instead.lags[j]), as_good, behind)
-    fit, lagged, period = delays.fit, delays.problem.with_lag(), delays.problem.segments.log.period
-    best, best_tau = None, 0.0
+        return Alternative(float(instead.lags[j]), as_good, bool(instead.lags[j] < period), 0.0, behind)
+    fit, lagged = delays.fit, delays.problem.with_lag()
+    best, best_tau, least = None, 0.0, float(delays.values[j])
     for share in SHARES:
         tau = np.full(len(fit.delays), NONE * period)
         tau[j] = share * max(fit.delays[j], period)
@@ -101,18 +162,20 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
         _, new, _ = search.descend(at, at(z, fit), z, np.zeros(1), longest, step, 0.02 * tau[j])
         if best is None or new.cost < best.cost:
             best, best_tau = new, float(tau[j])
+        if not better(fit, new, delays.inflation):
+            least = min(least, float(new.delays[j]))
     if best is not None and better(best, fit, delays.inflation):
         behind = float(best.delays[j]), best_tau
-    return Alternative(float(instead.lags[j]), as_good, behind)
+    return Alternative(float(instead.lags[j]), as_good, False, least, behind)
 
 
-def held_back(delays: Delays, high: np.ndarray) -> dict[str, float]:
+def held_back(delays: Delays, high: np.ndarray) -> Validation:
     """The errors on the last part of the log of models fitted to the rest; none for a log that is too short."""
     segments, problem = delays.problem.segments, delays.problem
     span = segments.log.t[-1] - segments.log.t[0]
     early = segments.t[:, -1] <= segments.log.t[0] + (1 - HELD_BACK) * span
     if early.sum() < 3 or (~early).sum() < 1 or segments.t.shape[1] < 4:
-        return {}
+        return Validation({}, None)
     train, later = (replace(problem, segments=segments.some(part)).some(DECIDING) for part in (early, ~early))
 
     def at(z: np.ndarray, fit: SegmentFit | None) -> SegmentFit:
@@ -121,14 +184,35 @@ def held_back(delays: Delays, high: np.ndarray) -> dict[str, float]:
     step, least = float(delays.widths.max()), 0.2 * float(delays.widths.min())
     first = at(delays.values, None)
     z, fit, _ = search.descend(at, first, delays.values, np.zeros(len(high)), high, step, least)
-    inputs = list(range(len(z)))
+    inputs, none = list(range(len(z))), train.fit(np.zeros(len(z)), None, 4)
+    for start in (first, none):  # a search that was lost is no model
+        restarted = train.fit(delays.values, start, 6)
+        fit = min(fit, restarted, key=train.actual)
+    lag, behind = lag_instead(train, z, inputs, float(high.max())), None
+    for share in SHARES:  # a lag, and what is left of the delay
+        tau = np.maximum(share * z, 0.2 * problem.segments.log.period)
+        new = train.with_lag().fit(np.maximum(z - tau, 0.0), None, 4, tau)
+        if behind is None or new.cost < behind.fit.cost:
+            behind = FittedModel(train.with_lag(), new, tau)
+    assert behind is not None
     candidates = {
         "model": FittedModel(train, fit),
-        "no_delay": FittedModel(train, train.fit(np.zeros(len(z)), None, 4)),
-        "first_order_lag": lag_instead(train, z, inputs, float(high.max())),
+        "no_delay": FittedModel(train, none),
+        "first_order_lag": lag,
+        "lag_and_delay": behind,
     }
-    errors = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
-    wide = spread(segments.log.Y)
+    squares = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
+    grid = [share * high for share in np.linspace(0.0, 1.0, 25)]
+    squares["static"] = static_error(train.segments, later.segments, [z, *grid])
+    return validated(squares, spread(segments.log.Y))
+
+
+def validated(squares: dict[str, np.ndarray], wide: np.ndarray) -> Validation:
+    """The rms of each candidate, of several outputs in their spreads (q,), and the rival that is clearly better."""
     unit = np.where(wide > 0, wide, np.inf) if len(wide) > 1 else np.ones(1)
     measured = max(int((wide > 0).sum()), 1)
-    return {name: float(np.sqrt(((e / unit) ** 2).sum() / measured)) for name, e in errors.items()}
+    each = {name: (values / unit**2).sum(axis=1) / measured for name, values in squares.items()}  # (S,)
+    errors = {name: float(np.sqrt(values.mean())) for name, values in each.items()}
+    best = min(errors, key=errors.__getitem__)
+    clear = errors["model"] > CLEARLY * errors[best] and (each["model"] > each[best]).mean() > MOSTLY
+    return Validation(errors, best if clear else None)

@@ -1,30 +1,47 @@
 """The delays and the parameters of a log with intervals of 95 %: by profiles, and by drawing the segments anew."""
 
 from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from npred.base import randomness
-from npred.identification import search
-from npred.identification.fit import Problem, SegmentFit, better
+from npred.identification import excitation, search
+from npred.identification.fit import CLEAR, LEAST, STEPS, Problem, SegmentFit, better
 from npred.identification.search import LEVEL, Profile
 from npred.plants import Plant
 
 COARSE = 2500  # samples of the first scan
-PLACES = 8  # local minima of it that are looked at again
+ROUGH = 600  # samples by which first values of the parameters are chosen
+FACTORS = 0.25, 4.0  # of each free parameter, from which the search starts too
+STARTS, LOWER = 3, 0.05  # first values that are tried to the end; how much lower the log of their errors comes
+RECENTRED = 3  # times that the search goes on from a place of its profile that is lower
+PLACES = 8  # local minima of a scan that are looked at again
 TETHER = 0.3  # how far, relatively, a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
+MISSING = 2.0  # correlation time of residuals, in samples, from which on the model misses something
+UNSHARP = 4.0  # times the level, for an input without sharp steps
+FEW = 5.0  # times CLEAR: so much worse by few segments alone is worse all the same
+NEARBY = 4.0  # times the least cost: minima of a grid that are looked at
+ALIKE = 0.15  # share of the cost that another delay may add if the model misses something
+RIVAL = 2.0  # times the least cost: another minimum of a model that misses something may be the right one
 FINEST = 2e-3  # in sampling periods
 SEARCHED = 15000  # samples by which the least cost is searched first
 DRAWS = 400
 SHARES = 0.025, 0.975
 NORMAL = 1.96  # deviations of 95 %
+WIDE = 0.1  # relative deviation from which on an interval is by the profile
+TIGHT = 0.02  # share of the variance of the parameters, in their deviations, that a combination that is known has
 
 
 @dataclass(frozen=True)
 class Delays:
-    """Delays (m,), their intervals (m, 2), and the profiles that these come from."""
+    """Delays (m,), their intervals (m, 2), and the profiles that these come from.
+
+    `several` is True where the data do not tell other minima from the best; `accurate` is False where RK4's steps
+    cannot be made fine enough.
+    """
 
     problem: Problem
     values: np.ndarray
@@ -33,44 +50,148 @@ class Delays:
     profiles: list[Profile]
     widths: np.ndarray
     inflation: float
+    several: bool
+    accurate: bool
 
     @property
-    def level(self) -> float:
-        """How far above the least cost a fit may be that the data do not tell from the best."""
-        return LEVEL * self.inflation
+    def size(self) -> float:
+        """The logarithm of the errors."""
+        return self.problem.size_of(self.fit)
+
+    @property
+    def levels(self) -> np.ndarray:
+        """How far above the least cost a fit may be that the data do not tell from the best, by delay (m,)."""
+        return levels_of(self.fit, self.inflation, self.problem)
+
+
+def levels_of(fit: SegmentFit, inflation: float, problem: Problem) -> np.ndarray:
+    """(m,) LEVEL times the correlation time, or ALIKE of the cost if the model misses something, which may move the
+    minimum; UNSHARP times as much for an input without sharp steps.
+    """
+    level = max(LEVEL * inflation, ALIKE * fit.cost if inflation > MISSING else 0.0)
+    return level * np.where(excitation.smooth(problem.segments.log), UNSHARP, 1.0)
 
 
 def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Delays:
     """The delays between `low` and `high` (m,)."""
     period = problem.segments.log.period
-    coarse = _tethered(problem.some(COARSE))
+    begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
+    problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
+    problem, z, fit, widths, accurate = _minimum(problem, few, fit, low, high)
+    for _ in range(RECENTRED):
+        problem = problem.rescaled(fit)
+        fit = problem.fit(z, fit)
+        scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
+        inflation = correlation_time(fit.residuals)
+        if inflation > MISSING:  # what is missing decides, not the number of samples
+            problem = problem.some(SEARCHED)
+            fit = problem.fit(z, replace(fit, X=problem.start()[0]))
+        levels = levels_of(fit, inflation, problem)
+        far = max(search.FAR, float(levels.max()) + search.FAR, 4 * LEVEL * inflation)
+        profiles = [search.profile(_at(problem), fit, z, j, low, high, widths * scale, far) for j in range(len(z))]
+        best = min((each for p in profiles for each in p.fits), key=lambda each: each.cost)
+        if not best.cost < fit.cost - 0.1 * LEVEL:
+            break
+        z, fit, widths = search.descend(
+            _at(problem),
+            problem.fit(best.delays, best, 6),
+            best.delays,
+            low,
+            high,
+            float(widths.max()),
+            FINEST * period,
+        )
+    ends = np.empty((len(z), 2))
+    for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
+        by_cost = search.interval(p.values, p.costs - p.costs.min(), levels[j])
+        low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
+        ends[j] = min(by_cost[0], low_draw), max(by_cost[1], high_draw)
+    others = _other_minima(problem, fit, profiles, low, high, inflation)
+    for place, rise in others:
+        if rise < FEW * CLEAR * inflation:
+            ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
+    return Delays(problem, z, ends, fit, profiles, widths, inflation, bool(others), accurate)
+
+
+def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem, Problem, SegmentFit]:
+    """The problem with residuals of their size, the same on part of the samples, and the best fit of a scan to that."""
+    coarse, period = _tethered(problem.some(COARSE)), problem.segments.log.period
     places = search.scan(lambda z, start: coarse.fit(z, start, 1), low, high, period)
     problem = problem.rescaled(problem.fit(places[0][0]))
     coarse = _tethered(problem.some(COARSE))  # once more, with the size of the residuals
     places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
-
     few = problem.some(SEARCHED)
-    z, fit = min(((z, few.fit(z)) for z, _ in places[:3]), key=lambda pair: pair[1].cost)
-    z, fit, widths = search.descend(_at(few), fit, z, low, high, period, FINEST * period)
+    return problem, few, min((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+
+
+def _minimum(
+    problem: Problem, few: Problem, fit: SegmentFit, low: np.ndarray, high: np.ndarray
+) -> tuple[Problem, np.ndarray, SegmentFit, np.ndarray, bool]:
+    """The problem with steps that are fine enough at its minimum, the delays there, the fit, their widths; and whether
+    steps are fine enough at all.
+    """
+    z, period = fit.delays, problem.segments.log.period
+    step = period
+    while True:
+        z, fit, widths = search.descend(_at(few), fit, z, low, high, step, FINEST * period)
+        finer = few.refined(fit)
+        if finer.model.steps == few.model.steps or finer.model.steps > STEPS:
+            break
+        problem, few = replace(problem, model=finer.model), finer
+        fit, step = few.fit(z, fit, 6), max(float(widths.max()), period / 4)
     if len(few.segments) < len(problem.segments):
-        z, fit, widths = search.descend(
-            _at(problem), problem.fit(z), z, low, high, float(widths.max()), FINEST * period
-        )
-    problem = problem.rescaled(fit)
-    fit = problem.fit(z, fit)
-    scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
-    inflation = correlation_time(fit.residuals)
-    profiles = [search.profile(_at(problem), fit, z, j, low, high, widths * scale) for j in range(len(z))]
-    ends = np.empty((len(z), 2))
-    for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
-        by_cost = search.interval(p.values, p.costs - p.costs.min(), LEVEL * inflation)
-        low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
-        ends[j] = min(by_cost[0], low_draw), max(by_cost[1], high_draw)
-    for place, _ in places:  # other minima that may be as good: of a periodic input, say
-        beyond = any(not p.values[0] <= end <= p.values[-1] for p, end in zip(profiles, place, strict=True))
-        if beyond and not better(fit, problem.fit(place), inflation, APART):
-            ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-    return Delays(problem, z, ends, fit, profiles, widths, inflation)
+        fit = problem.fit(z, replace(fit, X=problem.start()[0]))
+        z, fit, widths = search.descend(_at(problem), fit, z, low, high, float(widths.max()), FINEST * period)
+    return problem, z, fit, widths, finer.model.steps <= STEPS
+
+
+def _starts(problem: Problem, low: np.ndarray, high: np.ndarray) -> list[Problem]:
+    """The problem, and it with other first values of the free parameters if a few rough fits from there come lower."""
+    free = np.flatnonzero(np.isinf(problem.prior.deviation))
+    rough, mean, rows = problem.some(ROUGH), problem.prior.mean, []
+    for place, factor in [(0, 1.0), *((k, factor) for k in free for factor in FACTORS)] if len(free) else []:
+        start = mean.copy()
+        start[place] *= factor
+        begun = replace(rough, prior=replace(rough.prior, mean=start))
+        for share in (0.1, 0.3, 0.5, 0.8):
+            fit = begun.fit(low + share * (high - low), None, 4)
+            begun = begun.refined(fit)
+            fit = begun.fit(fit.delays, fit, 4)
+            if np.isfinite(size := begun.size_of(fit)):
+                rows.append((size, factor == 1.0, fit.theta, begun.model))
+    starts, least = [problem], min((size for size, first, *_ in rows if first), default=np.inf)
+    for size, _, theta, model in sorted(rows, key=lambda row: row[0]):
+        far = [np.abs(theta - each.prior.mean)[free].max() > TETHER * np.abs(theta)[free].max() for each in starts]
+        if size < least - LOWER and all(far) and len(starts) < STARTS:
+            theta = np.where(np.isinf(problem.prior.deviation), theta, mean)
+            starts.append(replace(problem, model=model, prior=replace(problem.prior, mean=theta)))
+    return starts
+
+
+def _other_minima(
+    problem: Problem, fit: SegmentFit, profiles: list[Profile], low: np.ndarray, high: np.ndarray, inflation: float
+) -> list[tuple[np.ndarray, float]]:
+    """Delays of local minima beyond the profiles, anywhere in the range, that are not clearly worse than the best, or
+    by few segments alone; and by how much.
+    """
+    coarse, period = problem.some(COARSE), problem.segments.log.period
+    theta = fit.thetas(np.ones((1, len(fit.e))))[0]
+    best = coarse.fit(fit.delays, replace(fit, X=coarse.start()[0], theta=theta))
+    ends = np.array([[p.values[0], p.values[-1]] for p in profiles]).T
+    inner, outer = np.minimum(ends[0], fit.delays - period), np.maximum(ends[1], fit.delays + period)
+    minima = search.scan(lambda z, _: coarse.fit(z, best, 1), low, high, 2 * period)[: 2 * PLACES]
+    places = [z for z, cost in minima if cost < NEARBY * best.cost]
+    places += [fit.delays[list(order)] for order in permutations(range(len(low)))][1:]
+    others = []
+    for place in places:
+        near = np.maximum(place - 2 * period, low), np.minimum(place + 2 * period, high)
+        z, other, _ = search.descend(_at(coarse), coarse.fit(place, best, 4), place, *near, period, period / 16)
+        if ((inner <= z) & (z <= outer)).all():
+            continue
+        wrong = inflation > MISSING and other.cost < RIVAL * best.cost
+        if wrong or not better(best, other, inflation, APART):
+            others.append((z, 0.0 if wrong else other.cost - best.cost))
+    return others
 
 
 def _at(problem: Problem) -> search.At:
@@ -130,36 +251,121 @@ class Parameter(NamedTuple):
     correlation: float
 
 
-def parameters(plant: Plant, delays: Delays, seed: int) -> tuple[dict[str, Parameter], dict[str, float]]:
-    """The free parameters by name; and how far the other ones are from the plant's, in shares of the allowed error.
+class Combination(NamedTuple):
+    """Names of parameters, their factors, and the value of the sum, which the log tells, with its deviation."""
 
-    An interval is the least one around two: that of the cost's curvature, which what the delays leave open widens, and
-    that of drawing the segments anew.
+    names: list[str]
+    factors: list[float]
+    value: float
+    deviation: float
+
+
+def parameters(
+    plant: Plant, delays: Delays, seed: int
+) -> tuple[dict[str, Parameter], dict[str, float], Combination | None]:
+    """The free parameters by name; how far the other ones are from the plant's, in shares of the allowed error; and a
+    combination of the free ones that alone is known.
+
+    An interval is the least one around three: those of the cost's curvature at each delay that is possible, that of
+    drawing the segments anew, and, where it is wide, that of the profile over the other parameters and the delay.
     """
     problem, names = delays.problem, [*plant.parameters, *(f"offset of {name}" for name in plant.inputs)]
     prior, all_segments = problem.prior, np.ones((1, len(delays.fit.e)))
     theta = delays.fit.thetas(all_segments)[0]
     if not len(theta):
-        return {}, {}
-    rng = randomness.generator(seed, "parameters")
-    draws, moved = [], []  # theta for each draw; how theta moves as a delay goes by its deviation
+        return {}, {}, None
+    rng, low, high = randomness.generator(seed, "parameters"), theta.copy(), theta.copy()
+    bounds, moved = (
+        (theta, theta),
+        [],
+    )  # theta where other delays are possible; how theta moves as a delay goes by its deviation
     for j, profile in enumerate(delays.profiles):
-        draws += list(drawn(profile, rng)[1])
-        near = np.flatnonzero(profile.costs - profile.costs.min() < 4 * delays.level)
+        rises = profile.costs - profile.costs.min()
+        level = float(delays.levels[j])
+        near = np.flatnonzero(rises < max(level, 4 * LEVEL * delays.inflation))
         thetas = np.array([profile.fits[k].thetas(all_segments)[0] for k in near])
+        for at, rise, fit in zip(thetas, rises[near], (profile.fits[k] for k in near), strict=True):
+            if rise < level:
+                variance = np.diag(_covariance(fit.H.sum(axis=0) + np.diag(prior.weight)))
+                room = np.sqrt(variance * (level - rise))
+                low, high = np.minimum(low, at - room), np.maximum(high, at + room)
+                bounds = np.minimum(bounds[0], at), np.maximum(bounds[1], at)
+        ends = np.quantile(drawn(profile, rng)[1], SHARES, axis=0)
+        low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
         slope = np.polyfit(profile.values[near], thetas, 1)[0] if len(near) > 2 else np.zeros(len(theta))
         moved.append(slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
-    covariance = np.linalg.pinv(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
-    size = np.sqrt(np.diag(covariance) + np.square(moved).sum(axis=0))
-    low, high = np.quantile(draws, SHARES, axis=0)
-    low, high = np.minimum(low, theta - NORMAL * size), np.maximum(high, theta + NORMAL * size)
+    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
+    covariance = covariance + sum(np.outer(each, each) for each in moved)
+    size, free = np.sqrt(np.diag(covariance)), np.isinf(prior.deviation)
+    for k in np.flatnonzero(free & (high - low > 2 * NORMAL * WIDE * np.abs(theta))):
+        ends = _profiled(delays, theta, int(k), float(high[k] - low[k]) / (2 * NORMAL))
+        low[k], high[k] = min(ends[0], bounds[0][k]), max(ends[1], bounds[1][k])
     low, high = (np.clip(ends, *prior.limits) for ends in (low, high))
     nearest = np.take_along_axis(np.array(moved), np.abs(moved).argmax(axis=0)[None], axis=0)[0]
     correlation = nearest / np.maximum(size, 1e-300)
     rows = [Parameter(*map(float, row)) for row in zip(theta, low, high, correlation, strict=True)]
-    free, deviations = np.isinf(prior.deviation), (theta - prior.mean) / prior.deviation
+    deviations = (theta - prior.mean) / prior.deviation
     label = [names[place] for place in problem.model.free]
     return (
         {label[k]: rows[k] for k in np.flatnonzero(free)},
         {label[k]: float(deviations[k]) for k in np.flatnonzero(~free)},
+        _combination(label, theta, covariance, np.flatnonzero(free & (size > WIDE * np.abs(theta)))),
     )
+
+
+def _covariance(H: np.ndarray) -> np.ndarray:
+    """H⁻¹, large but finite along the combinations that H does not show."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    values, vectors = np.linalg.eigh(np.nan_to_num(H / np.outer(size, size), posinf=0.0, neginf=0.0))
+    return (vectors / np.maximum(values, LEAST)) @ vectors.T / np.outer(size, size)
+
+
+def _profiled(delays: Delays, theta: np.ndarray, k: int, size: float) -> tuple[float, float]:
+    """The values of parameter k whose cost, over all others and the delays, is not clearly above the least one.
+
+    Infinite where the cost does not rise as the parameter grows a hundredfold.
+    """
+    few, limits = delays.problem.some(COARSE), delays.problem.prior.limits[:, k]
+    first = few.fit(delays.values, replace(delays.fit, X=few.start()[0]), 4)
+    reach = [(p.values[0], p.values[-1]) for p in delays.profiles]
+    low, high = np.array(reach).T
+    step_D, ends = float(np.ptp(delays.interval, axis=1).max()) / 4 + 1e-9 * few.segments.log.period, []
+    for side in (-1.0, 1.0):
+        step, value, root, fit = min(size, 0.5 * abs(theta[k]) + 1e-9), float(theta[k]), 0.0, first
+        while True:
+            beyond = value + side * step
+            pinned, there = few.at(k, clipped := float(np.clip(beyond, *limits))), fit
+            there = pinned.fit(fit.delays, fit, 4)
+            there = search.descend(_at(pinned), there, fit.delays, low, high, step_D, step_D / 4)[1]
+            rise = max(there.cost - first.cost, 0.0) / delays.inflation
+            reached = np.sqrt(rise) if np.isfinite(rise) else np.inf
+            if reached >= np.sqrt(LEVEL):
+                share = (np.sqrt(LEVEL) - root) / max(reached - root, 1e-12)
+                ends.append(value + share * (clipped - value))
+                break
+            if clipped != beyond or abs(clipped - theta[k]) > 100 * (abs(theta[k]) + min(size, 1e9)):
+                ends.append(clipped if clipped != beyond else side * np.inf)
+                break
+            value, root, step, fit = clipped, float(reached), 2 * step, there
+    return ends[0], ends[1]
+
+
+def _combination(names: list[str], theta: np.ndarray, covariance: np.ndarray, wide: np.ndarray) -> Combination | None:
+    """The sum of the parameters `wide`, none of which is known, that is known best; None if it is not much better."""
+    if len(wide) < 2:
+        return None
+    part = covariance[np.ix_(wide, wide)]
+    size = np.sqrt(np.diag(part))
+    values, vectors = np.linalg.eigh(part / np.outer(size, size))
+    if values[0] > TIGHT:
+        return None
+    factors = vectors[:, 0] / size
+    factors = factors / factors[np.abs(vectors[:, 0]).argmax()]
+    kept = np.abs(factors * size) > 0.05 * np.abs(factors * size).max()
+    factors, wide = factors[kept], wide[kept]
+    if len(wide) < 2:
+        return None
+    deviation = np.sqrt(max(factors @ covariance[np.ix_(wide, wide)] @ factors, 0.0))
+    if not deviation < WIDE * np.abs(factors * theta[wide]).max():
+        return None
+    return Combination([names[k] for k in wide], factors.tolist(), float(factors @ theta[wide]), float(deviation))

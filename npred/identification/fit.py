@@ -15,10 +15,16 @@ from npred.identification.log import Pieces, Segments, mean_square
 from npred.identification.model import RolloutModel
 
 RIDGE = 1e-12  # share of the largest element: states that nothing measures stay where they are
+ROUNDING = 1e-6  # share of a sum of squares below zero
+LEAST = 1e-9  # share of the curvature: a combination of theta that the log does not show stays where it is
 HALVINGS = 5
 BLOCK = 64  # commands
 MOST = 25.0  # the most chi² that a segment may add
 CLEAR = 10.8  # chi² with one degree of freedom at 99.9 %
+CHECKED = 500  # samples by which the steps of the integration are checked
+SLIP = 0.02  # share of a residual's scale that twice as many steps may change
+STEPS = 64  # of RK4 in a piece, at most
+FIXED = 1e-5  # relative deviation of a parameter that is held
 NEAR = 0.05  # to the least cost, where chi² with one degree of freedom is 3.84 at 95 %
 
 
@@ -63,7 +69,8 @@ class SegmentFit:
         """The least cost (B,) with segments weighted (B, S), theta being optimal for each row of weights."""
         e, g, H = self._sums(weights)
         with np.errstate(all="ignore"):
-            return np.where(np.isfinite(e), e - np.einsum("bi,bi->b", g, _solve(H, g)), np.inf)
+            costs = e - np.einsum("bi,bi->b", g, _solve(H, g))
+            return np.where(np.isfinite(e) & (costs >= -ROUNDING * e), costs, np.inf)  # else the parabolas are lost
 
     def thetas(self, weights: np.ndarray) -> np.ndarray:
         """The optimal theta (B, q) for each row of weights, within its limits."""
@@ -76,7 +83,7 @@ class SegmentFit:
         e = weights @ self.e + (self.prior.weight * gap**2).sum()
         g = weights @ self.g + self.prior.weight * gap
         H = np.einsum("bs,sij->bij", weights, self.H) + np.diag(self.prior.weight)
-        return e, g, H
+        return e, g, H + LEAST * H * np.eye(H.shape[-1])
 
 
 @dataclass(frozen=True)
@@ -104,6 +111,34 @@ class Problem:
         size = np.sqrt(mean_square(r) * share)
         return replace(self, scale=self.scale * np.where(size > 0, size, 1.0))
 
+    def at(self, place: int, value: float) -> "Problem":
+        """The same with one of theta at this value."""
+        mean, deviation = self.prior.mean.copy(), self.prior.deviation.copy()
+        mean[place], deviation[place] = value, FIXED * max(abs(value), 1e-9)
+        return replace(self, prior=Prior(mean, deviation, self.prior.limits))
+
+    def refined(self, fit: SegmentFit) -> "Problem":
+        """The same with so many steps of RK4 that twice as many would change less than SLIP of a residual's scale at
+        this fit; with more than STEPS where there are none.
+        """
+        every = slice(None, None, max(1, round(self.segments.mask.sum() / CHECKED)))
+        few, part = replace(self, segments=self.segments.some(every)), replace(fit, X=fit.X[every])
+        steps, last = self.model.steps, None
+        while steps <= 2 * STEPS:
+            with np.errstate(all="ignore"):
+                outputs = replace(few, model=replace(self.model, steps=steps)).outputs(part)[few.segments.mask]
+                if last is not None and np.mean(np.abs(outputs - last) < SLIP * self.scale) > 0.99:
+                    break
+            last, steps = outputs, 2 * steps
+        return replace(self, model=replace(self.model, steps=steps // 2))
+
+    def size_of(self, fit: SegmentFit) -> float:
+        """The mean logarithm of the rms of the residuals of each output, whatever their scale."""
+        lost = (~np.isfinite(fit.residuals) & np.isfinite(self.segments.Y)).any()
+        with np.errstate(all="ignore"):
+            size = np.log(mean_square(fit.residuals * self.scale) + 1e-300).mean() / 2
+        return np.inf if lost else float(size)
+
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Initial states as they are measured, else the plant's guess, and theta as it is thought to be."""
         X = self.model.measured_states(self.segments.Y[:, 0])
@@ -118,14 +153,14 @@ class Problem:
         pieces, lag = self._inputs(delays, tau)
         best, moved = self._linear(delays, X, theta, pieces, lag)
         for _ in range(steps):
-            if self._at(best) - best.cost < NEAR:  # the parabolas' least cost is right to second order
+            if self.actual(best) - best.cost < NEAR:  # the parabolas' least cost is right to second order
                 break
             dX, dtheta = moved
             for halving in range(HALVINGS):
                 share = 0.5**halving
                 new_theta = np.clip(best.theta + share * dtheta, *self.prior.limits)
                 new, move = self._linear(delays, best.X + share * dX, new_theta, pieces, lag)
-                if self._at(new) <= self._at(best) or not np.isfinite(self._at(best)):
+                if self.actual(new) <= self.actual(best) or not np.isfinite(self.actual(best)):
                     break
             else:
                 return best
@@ -143,7 +178,7 @@ class Problem:
         lag = None if tau is None else (lag_states(self.segments, delays, tau), tau)
         return self.segments.pieces(delays), lag
 
-    def _at(self, fit: SegmentFit) -> float:
+    def actual(self, fit: SegmentFit) -> float:
         """The cost where the fit stands, not where its parabolas are least."""
         r = np.where(np.isfinite(fit.residuals) | ~np.isfinite(self.segments.Y), fit.residuals, np.inf)
         gap = np.where(self.prior.weight > 0, fit.theta - self.prior.mean, 0.0)

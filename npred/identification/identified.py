@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from npred.base.notebook import InNotebook
-from npred.identification.alternatives import Alternative
-from npred.identification.estimate import Parameter
+from npred.identification.alternatives import Alternative, Validation
+from npred.identification.estimate import Combination, Parameter
 from npred.plants import Plant
 
+CLOSED = 0.97  # R² by the outputs: the commands are those of a law
+RUN_AWAY = 1e20  # an error that is no number for people
 CERTAIN = 0.5  # share of the range of delays: a wider interval says nothing
 ODD, FAR = 2.0, 4.0  # times what was allowed: a parameter that is looked at, and one that explains something else
 
@@ -23,12 +25,24 @@ class Windows:
     D: np.ndarray
     interval: np.ndarray
 
+    def sentences(self, plant: Plant, whole: np.ndarray) -> list[str]:
+        """How the delays go over the windows, and whether one constant delay, of the whole log, is in all intervals."""
+        lines = []
+        for j, name in enumerate(plant.inputs):
+            least, most = (plant.time_text(D, ".3g") for D in (self.D[:, j].min(), self.D[:, j].max()))
+            inside = (self.interval[:, j, 0] <= whole[j, 1]) & (self.interval[:, j, 1] >= whole[j, 0])
+            fits = "a constant delay fits all of them" if inside.all() else (
+                f"in {(~inside).sum()} of them the delay is another than in the whole log")  # fmt: skip
+            lines.append(f"In {len(self.t)} windows of time the delay of {name} is {least} to {most}: {fits}.")
+        return lines
+
 
 @dataclass(frozen=True)
 class Identified(InNotebook):
     """Delays D (m,) with intervals of 95 % (m, 2); the parameters that were freed; errors on the held-back part.
 
-    `identifiable` (m,) is False where the log does not tell the delay: the interval holds what it does tell. Of
+    `identifiable` (m,) is False where the log does not tell the delay: the interval holds what it does tell. `refused`
+    is True where the log contradicts the model, or a law without a test signal gave the commands: no answer counts. Of
     `held_back` each number is the rms error of a prediction over many samples, in the output's unit, of several outputs
     in their standard deviations. `sentences` say all of it in words.
     """
@@ -37,6 +51,7 @@ class Identified(InNotebook):
     D: np.ndarray
     interval: np.ndarray
     identifiable: np.ndarray
+    refused: bool
     parameters: dict[str, float]
     parameter_intervals: dict[str, tuple[float, float]]
     held_back: dict[str, float]
@@ -48,29 +63,59 @@ class Identified(InNotebook):
         return "\n".join(self.sentences)
 
 
+RIVALS = {
+    "no_delay": "without the delay",
+    "first_order_lag": "with a first-order lag in its place",
+    "lag_and_delay": "with a lag behind a shorter delay",
+    "static": "by constant gains alone",
+}
+
+
 @dataclass(frozen=True)
 class Findings:
     """All that the sentences are made of."""
 
     plant: Plant
     D: np.ndarray
+    early: np.ndarray  # (m,) below zero where the log clearly fits best with an input before its command
     interval: np.ndarray
     high: np.ndarray  # (m,) the longest delays that were tried
     period: float
     alternatives: list[Alternative]
     still: np.ndarray  # (m,) inputs that never change
+    alike: list[tuple[int, int]]  # inputs that move together
+    recurring: np.ndarray  # (m,) after which time an input repeats itself, infinite where it does not
     parameters: Mapping[str, Parameter]
     assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
+    combination: Combination | None
     inflation: float
+    accurate: bool
+    several: bool  # other minima are as good
     closed: float  # how much of the commands follows the outputs, R²
-    held_back: dict[str, float]
+    validation: Validation
+
+    @property
+    def refused(self) -> bool:
+        """True if the log contradicts the model, or its rollouts are not exact."""
+        return self.validation.better is not None or not self.accurate
+
+    @property
+    def silent(self) -> bool:
+        """True if the log tells nothing of the delays and parameters."""
+        return self.refused or self.closed > CLOSED
 
     @property
     def identifiable(self) -> np.ndarray:
         """(m,) True where the log tells the delay."""
         wide = np.diff(self.interval, axis=1)[:, 0] > CERTAIN * self.high
         ends = self.interval[:, 1] >= self.high - 1e-9 * self.high
-        return ~(wide | ends | self.still | self._off | np.array([a.as_good for a in self.alternatives]))
+        ends |= (self.interval[:, 0] <= 0) & (self.interval[:, 1] > self.period)  # none, or any up to there
+        early = self.early < 0
+        alike = np.isin(np.arange(len(self.D)), [j for pair in self.alike for j in pair])
+        recurring = self.recurring < self.high
+        lag = np.array([a.as_good and not a.short for a in self.alternatives])
+        everywhere = self._off or self.silent or self.several
+        return ~(wide | ends | early | alike | recurring | self.still | lag | everywhere)
 
     @property
     def _off(self) -> bool:
@@ -80,68 +125,138 @@ class Findings:
     @property
     def sentences(self) -> list[str]:
         """One sentence or two for each thing that is known or is not."""
-        lines = [line for j in range(len(self.D)) for line in self._of_input(j)]
-        lines += [line for name in self.parameters for line in self._of_parameter(name)]
-        for name, deviations in self.assumed.items():
-            if abs(deviations) > ODD:
+        lines = self._of_model()
+        for j in range(len(self.D)):
+            if (
+                not self.refused
+                or self.still[j]
+                or self.closed > CLOSED
+                or (self.alternatives[j].as_good and not self.alternatives[j].short)
+            ):
+                lines += self._of_input(j)
+            elif self.alternatives[j].behind:
+                lines += self._of_lag(j)
+        if not self.silent:
+            lines += [line for name in self.parameters for line in self._of_parameter(name)]
+            lines += self._of_combination()
+            for name, deviations in self.assumed.items():
+                if abs(deviations) > ODD:
+                    lines.append(
+                        f"The log asks for another value of {name}, {abs(deviations):.1f} times as far as was allowed. "
+                        f"Free it, or check it."
+                    )
+            if self.inflation > 2:
                 lines.append(
-                    f"The log asks for another value of {name}, {abs(deviations):.1f} times as far as was allowed. "
-                    f"Free it, or check it."
+                    f"Errors stay on one side for {self.inflation:.1f} samples: the model misses something in the log. "
+                    "The intervals are wider for it, but they hold for this model only."
                 )
-        if self.inflation > 2:
-            lines.append(
-                f"Errors stay on one side for {self.inflation:.1f} samples: the model misses something in the log. "
-                "The intervals are wider for it, but they hold for this model only."
-            )
-        if self.closed > 0.95 and not self.identifiable.all():
-            lines.append("The commands follow the outputs: the log is of a closed loop without a test signal. Add one.")
-        if not self.held_back:
+        errors = self.validation.errors
+        if not errors:
             return [*lines, "The log is too short to hold a part of it back."]
-        model, none, lag = (f"{self.held_back[name]:.3g}" for name in ("model", "no_delay", "first_order_lag"))
-        lines.append(
-            f"On the last quarter of the log, which was held back, predictions err by {model} (rms), without the delay "
-            f"by {none}, with a first-order lag in its place by {lag}."
-        )
-        return lines
+        others = ", ".join(f"{words} by {self._error(name)}" for name, words in RIVALS.items() if name in errors)
+        return [
+            *lines,
+            "On the last quarter of the log, which was held back, predictions of the model err by "
+            f"{self._error('model')} (rms), {others}.",
+        ]
+
+    def _error(self, name: str) -> str:
+        error = self.validation.errors[name]
+        return f"{error:.3g}" if error < RUN_AWAY else "more than any number here, since they run away"
+
+    def _of_model(self) -> list[str]:
+        """Why there is no answer at all."""
+        if not self.accurate:
+            return [
+                "There is no answer: the model is too fast for the samples, and the error of its integration is not "
+                "known. Bound the parameters, or record with a shorter period."
+            ]
+        if self.validation.better is not None:
+            return [
+                f"There is no answer: the held-back part contradicts the model. Predictions "
+                f"{RIVALS[self.validation.better]} err by {self._error(self.validation.better)}, those of the model by "
+                f"{self._error('model')}. Check the plant, its units and its first values."
+            ]
+        return []
 
     def _of_input(self, j: int) -> list[str]:
         name, other, time = self.plant.inputs[j], self.alternatives[j], self.plant.time_text
         low, high = self.interval[j]
         span, ends = (f"{time(low, '.4g')} {word} {time(high, '.4g')}" for word in ("to", "and"))
+        unknown = f"The delay of {name} is not identifiable:"
         if self.still[j]:
-            return [f"The delay of {name} is not identifiable: {name} never changes. Record steps of it."]
-        if other.as_good:
+            return [f"{unknown} {name} never changes. Record steps of it."]
+        for i, k in self.alike:
+            if j in (i, k):
+                both = f"{self.plant.inputs[i]} and {self.plant.inputs[k]}"
+                return [f"{unknown} {both} move together. Record steps of one while the other is at rest."]
+        if self.closed > CLOSED:
             return [
-                f"The delay of {name} is not identifiable: a first-order lag of {time(other.lag, '.3g')} explains the "
+                f"{unknown} the commands follow the outputs: the log is of a closed loop without a test signal. "
+                "Add one."
+            ]
+        if self.early[j] < 0:
+            return [
+                f"{unknown} the log fits best with {name} {time(-self.early[j], '.3g')} before its command. It is "
+                f"logged late, or not held between two rows: check the clocks, try --hold linear. {span} is possible."
+            ]
+        if self._off:
+            return [f"{unknown} the plant as it was given does not explain the log."]
+        if self.recurring[j] < self.high[j]:
+            return [
+                f"{unknown} {name} repeats itself after {time(self.recurring[j], '.3g')}, so a delay is known only up "
+                f"to that time: {span}. Record steps at random times."
+            ]
+        if self.several:
+            return [
+                f"{unknown} several delays of {span} fit about as well, of which {time(self.D[j], '.3g')} is the best. "
+                "Record steps at random times."
+            ]
+        if other.as_good and not other.short:
+            return [
+                f"{unknown} a first-order lag of {time(other.lag, '.3g')} explains the "
                 f"log as well as a delay of {time(self.D[j], '.3g')}, or better. Any delay of {span} is possible.",
                 f"Sharp steps of {name}, and samples closer to each other after them, would tell a delay from a lag.",
             ]
         if high >= self.high[j] - 1e-9 * self.high[j]:
             what = "fits any delay" if low <= 0 else "fits delays"
             return [
-                f"The delay of {name} is not identifiable: the log {what} of {span}, the longest that was tried. "
+                f"{unknown} the log {what} of {span}, the longest that was tried. "
                 f"Record larger steps of {name}, or try longer delays."
             ]
-        if self._off:
-            return [f"The delay of {name} is not identifiable: the plant as it was given does not explain the log."]
         if not self.identifiable[j]:
-            return [
-                f"The delay of {name} is not identifiable: any delay of {span} fits. Record larger steps of {name}."
-            ]
+            return [f"{unknown} any delay of {span} fits. Record larger steps of {name}."]
         periods = f"{self.D[j] / self.period:.2f} sampling periods"
         lines = [f"{name} arrives {time(self.D[j], '.4g')} late, {periods}; with 95 % between {ends}."]
         if low <= 0:
             lines.append(f"No delay of {name} at all fits the log as well.")
-        if other.behind:
-            delay, lag = (time(seconds, ".3g") for seconds in other.behind)
-            lines.append(f"A delay of {delay} with a first-order lag of {lag} behind it fits clearly better.")
-        return lines
+        return lines + self._of_lag(j)
+
+    def _of_lag(self, j: int) -> list[str]:
+        if not (behind := self.alternatives[j].behind):
+            return []
+        delay, lag = (self.plant.time_text(span, ".3g") for span in behind)
+        return [
+            f"A delay of {delay} with a first-order lag of {lag} behind it fits clearly better: if there is such a "
+            "lag, add a state for it to the plant."
+        ]
 
     def _of_parameter(self, name: str) -> list[str]:
         value, low, high, correlation = self.parameters[name]
         if not np.isfinite([low, high]).all() or high - low > 10 * max(abs(value), 1e-300):
-            return [f"{name} is not identifiable: the log fits almost any value of it."]
+            above = f"any value above {low:.3g}" if 0 < 0.01 * value < low else "almost any value of it"
+            return [f"{name} is not identifiable: the log fits {above}."]
         lines = [f"{name} = {value:.4g}, with 95 % between {low:.4g} and {high:.4g}."]
         if abs(correlation) > 0.95:
             lines.append(f"The log hardly tells {name} from the delay: their errors correlate by {correlation:.2f}.")
         return lines
+
+    def _of_combination(self) -> list[str]:
+        if not self.combination:
+            return []
+        names, factors, value, deviation = self.combination
+        terms = " + ".join(
+            name if abs(f - 1) < 5e-4 else f"{f:.3g} {name}" for name, f in zip(names, factors, strict=True)
+        )
+        sum_is = f"{terms.replace('+ -', '- ')} = {value:.4g} ± {2 * deviation:.2g}"
+        return [f"Of {' and '.join(names)} only a combination is known, near these values: {sum_is}."]

@@ -7,28 +7,32 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from npred import plants
 from npred.base import array_checks, progress, randomness
 from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
-from npred.identification import alternatives, recordings
-from npred.identification.estimate import estimate, parameters
-from npred.identification.fit import Prior, Problem
+from npred.identification import alternatives, excitation, recordings, screening
+from npred.identification.estimate import Delays, estimate, parameters
+from npred.identification.fit import CHECKED, Prior, Problem
 from npred.identification.identified import Findings, Identified, Windows
-from npred.identification.log import Log, Segments, spread
+from npred.identification.log import Log, Segments, mean_square, spread
 from npred.identification.model import RolloutModel
+from npred.identification.recordings import TimeSeries
 from npred.plants import Plant
 from npred.plants.base import require
 
+SETTLING, LARGER = 10, 2.0  # periods of a begin, and mean squares of its errors, times those of the whole log
+DEGREES = ("deg", "°")  # how a unit of angles begins
+ALIKE = 0.05  # of the logarithm of errors: two ways to hold an input fit alike
 FAR = 3.0  # widths of the box beyond it
+EARLY_SHARE = 0.5  # of the range of a command, within the longest delay: the answer may be there
 WINDOW = 8, 20  # segments of a window, and windows, at most
 MODEL_ERROR = 0.05
-GAP = 20  # periods without a sample end a segment
+EARLY = 3  # periods before its command that an input is tried
 RANGE = 5, 400  # by default delays up to a fifth of the log are tried, and up to so many periods
 PARTS, ROWS = 30, (8, 200)  # a segment is this part of the log, with so many samples at least and at most
 GROWTH = 30.0  # the largest growth of an error in a segment
-FINEST = 64  # steps of RK4 in a piece
-SLIP = 0.02  # share of the noise that twice as many steps may change
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,7 @@ class Settings:
     offset: bool = False
     time_varying: bool = False
     model_error: float = MODEL_ERROR
+    hold: str | None = None
     seed: int = 0
 
 
@@ -52,12 +57,13 @@ class Reading(TypedDict, total=False):
     shift: Mapping[str, float]
     time: str | None
     time_unit: str | None
+    period: float | None
 
 
 def identify(
     plant: Plant, t: Any, U: Any = None, X: Any = None, *, free: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None, longest: float | None = None, offset: bool = False,
-    time_varying: bool = False, model_error: float = MODEL_ERROR, seed: int = 0, **reading: Unpack[Reading],
+    time_varying: bool = False, model_error: float = MODEL_ERROR, hold: str | None = None, **reading: Unpack[Reading],
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
@@ -88,12 +94,13 @@ def identify(
     model_error : float, default 0.05
         How far, relatively, parameters that are not free may be from their value; that widens the intervals. 0 says
         that they are exact, as those of a black box are taken to be.
-    seed : int, default 0
-        Seed of the random numbers.
+    hold : "zero" or "linear", optional
+        How an input goes on between two commands: held, or in a straight line. By default it is held, unless an input
+        would act before its command so and a straight line fits better.
     **reading : optional
         Of the file of a recording: `columns`, the names of its columns where they are not those of inputs and outputs,
         {"q": "Q1"}; `scale`, factors that bring columns to the plant's units; `shift`, numbers that are then added;
-        `time`, the column of the times; `time_unit`, their unit.
+        `time`, the column of the times; `time_unit`, their unit; `period`, of a file without times.
 
     Returns
     -------
@@ -109,13 +116,13 @@ def identify(
     if isinstance(t, Plant):
         plant, t = t, plant
     require(plant)
-    settings = Settings(tuple(free), bounds, longest, offset, time_varying, model_error, seed)
-    is_file = isinstance(t, str | Path)
+    settings = Settings(tuple(free), bounds, longest, offset, time_varying, model_error, hold)
+    is_file = isinstance(t, str | Path) or (isinstance(t, list | tuple) and bool(t) and isinstance(t[0], str | Path))
     if any((a is None) != is_file for a in (U, X)):
         got = "both" if is_file else f"no {'U' if U is None else 'X'}"
         raise ConfigError(f"identify: expected the path of a recording, or t, U and X, got {got}; give one of both")
     if is_file:
-        log = recorded(plant, Path(t), **reading)
+        log, notes = recorded(plant, t, **reading)
     elif reading:
         raise ConfigError(f"identify: expected {', '.join(reading)} with the path of a recording, got arrays; drop it")
     else:
@@ -125,96 +132,210 @@ def identify(
         if t.ndim != 1 or U.shape != (len(t), plant.m) or X.shape != (len(t), outputs):
             shapes = f"t (N,), U (N, {plant.m}), X (N, {outputs})"
             raise ConfigError(f"identify: expected {shapes}, got {t.shape}, {U.shape}, {X.shape}; give a row per time")
-        log = Log.of(t, U, X)
+        log, notes = _built(plant, [_series(t, u) for u in U.T], [_series(t, x) for x in X.T])
     with progress.announce("identifying: fits of many delays", 3e-5 * len(log.t) + 1.0):
-        return of_log(plant, log, settings)
+        return of_log(plant, log, settings, notes)
 
 
-def of_log(plant: Plant, log: Log, settings: Settings) -> Identified:
-    """The answer of a log; see `identify`."""
-    problem, high = prepared(plant, log, settings)
-    delays = estimate(problem, 0 * high, high, randomness.generator(settings.seed, "identify"))
+def _series(t: np.ndarray, values: np.ndarray) -> TimeSeries | None:
+    rows = np.flatnonzero(np.isfinite(values) & np.isfinite(t))
+    return TimeSeries(t[rows], values[rows], rows) if len(rows) else None
+
+
+def _built(
+    plant: Plant, inputs: Sequence[TimeSeries | None], outputs: Sequence[TimeSeries | None]
+) -> tuple[Log, list[str]]:
+    """The log of series, and what there is to say of their clock."""
+    every = [series and screening.spaced(series) for series in (*inputs, *outputs)]
+    present = [series for series in every if series]
+    if not all(every[: plant.m]) or len(present) == plant.m:
+        got = f"{len(present)} columns with numbers"
+        raise ConfigError(
+            f"log: expected numbers and times for every input and an output, got {got}; check the columns"
+        )
+    return Log.of_series(every[: plant.m], every[plant.m :]), screening.of_clock(present, plant.time_unit)
+
+
+def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()) -> Identified:
+    """The answer of a log; see `identify`. `notes` are said before it.
+
+    What comes before the longest delay has passed is history of the commands only. If that leaves too little, the
+    command before the log is taken for its first one, and all of it is used.
+    """
+    log, bad = screening.screened(log, plant.outputs)
+    straight = settings.hold == "linear"
+    with np.errstate(all="ignore"):  # a model that runs away is no fault of the program
+        answer = _best(plant, log.as_lines() if straight else log.held(), settings)
+        other = None
+        if settings.hold is None and (answer.details["early"] < 0).any():
+            other = _best(plant, log.as_lines(), settings)
+    if other:
+        sizes = [each.details["estimate"].size for each in (answer, other)]
+        if sizes[1] < sizes[0] + (ALIKE if (other.details["early"] >= 0).all() else 0.0):
+            answer = other
+            share = np.exp(sizes[1] - sizes[0])
+            bad.append(f"Inputs in straight lines fit better than held ones, with errors {share:.2f} times as large.")
+    return replace(answer, sentences=[*notes, *bad, *answer.sentences])
+
+
+def _best(plant: Plant, log: Log, settings: Settings) -> Identified:
+    """The answer by what comes after the longest delay; or by the whole log, if that leaves less open and the commands
+    move before.
+    """
+    early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
+    moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
+    try:
+        answer = _answer(plant, log, settings, False)
+    except ConfigError:
+        if not moving:
+            raise
+        return _answer(plant, log, settings, True)
+    if not moving or answer.identifiable.all() or answer.refused:
+        return answer
+    whole = _answer(plant, log, settings, True)
+    if whole.refused or not _begins_held(whole):
+        return answer
+    return max(answer, whole, key=lambda each: (each.identifiable.sum(), -np.ptp(each.interval, axis=1).sum()))
+
+
+def _begins_held(answer: Identified) -> bool:
+    """True if the log does not contradict that its first command was held before: errors at its begin are no larger."""
+    estimate, log = answer.details["estimate"], answer.details["log"]
+    begin = estimate.problem.segments.t <= log.begin + max(answer.interval.max(), SETTLING * log.period)
+    r = np.where(begin[..., None], estimate.fit.residuals, np.nan)
+    return bool(mean_square(r).max() < LARGER * max(mean_square(estimate.fit.residuals).max(), 1e-300))
+
+
+def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identified:
+    """The answer by the whole log, or by what comes after the longest delay."""
+    problem, low, high = prepared(plant, log, settings, whole)
+    delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))
+    segments = delays.problem.segments
+    bad = screening.outside(delays.fit.residuals, segments.Y)
+    lines = []
+    if bad.any():  # once more without them
+        out = bad.any(axis=-1)
+        names = [plant.outputs[k] for k in np.flatnonzero(bad.any(axis=(0, 1)))]
+        lines.append(screening.left_out(", ".join(names), segments.rows[out]))
+        out = np.isin(problem.segments.t, segments.t[out])[..., None]
+        problem = replace(problem, segments=replace(problem.segments, Y=np.where(out, np.nan, problem.segments.Y)))
+        delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))
     fewer = alternatives.thinned(delays)
     others = [alternatives.of_input(fewer, j, high[j]) for j in range(plant.m)]
     interval = delays.interval.copy()
     for ends, other in zip(interval, others, strict=True):
-        ends[0] = 0.0 if other.as_good else min(ends[0], other.behind[0] if other.behind else np.inf)
-    asked, assumed = parameters(plant, delays, settings.seed)
+        ends[0] = min(0.0, ends[0]) if other.as_good else min(ends[0], other.behind[0] if other.behind else np.inf)
+        if ends[0] < -log.period < 0 <= ends[1]:  # a log that cannot exclude that tells no delay
+            ends[1] = max(ends[1], 1.01 * log.period)
+        # an input acts after its command; if the log says before, its stamp or its samples are off by a period or so
+        ends[:] = max(ends[0], 0.0), max(ends[1], other.lag if other.short else 0.0) if ends[1] >= 0 else log.period
+    recurring = excitation.recurring(log, high)
+    recurring = np.where(alternatives.recurs(delays, recurring, low, high), recurring, np.inf)
+    for j in np.flatnonzero(recurring < high):  # a delay is known up to that time only
+        period, (low_end, high_end) = recurring[j], interval[j]
+        interval[j] = low_end - period * (low_end // period), high_end + period * ((high[j] - high_end) // period)
+    early = np.where(delays.interval[:, 1] < 0, delays.values, 0.0)
+    asked, assumed, combination = parameters(plant, delays, settings.seed)
     findings = Findings(
-        plant, delays.values, interval, high, log.period, others, np.ptp(log.U, axis=0) == 0, asked, assumed,
-        delays.inflation, _closed(log), alternatives.held_back(delays, high),
+        plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, np.ptp(log.U, axis=0) == 0,
+        excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, delays.accurate,
+        delays.several, excitation.followed(log), alternatives.held_back(delays, high),
     )  # fmt: skip
-    far = []  # measured states far from the plant's box: their unit is another, perhaps
-    for name, y in () if plant.declares_output else zip(plant.states, log.Y.T, strict=True):
-        if name not in plant.box or not np.isfinite(y).any():
-            continue
-        (low, end), middle = plant.box[name], np.nanmedian(y)
-        if max(low - middle, middle - end) > FAR * (end - low):
-            log_and_box = f"{name} is about {middle:.3g} in the recording, and {low:g} to {end:g} in the plant's box"
-            far.append(f"{log_and_box}: if the units differ, scale its column.")
+    if findings.silent:
+        findings.interval[:], asked = np.stack([0 * high, high], axis=1), {}
+    for ends, other, certain in zip(findings.interval, others, findings.identifiable, strict=True):
+        ends[0] = ends[0] if certain else min(ends[0], other.least)
+    if whole:
+        lines.append("The command before the recording is taken for its first one.")
+    else:
+        first = plant.time_text(high.max(), ".3g")
+        lines.append(f"The first {first} are used for the commands only, since one from before may still act then.")
     windows = None
     if settings.time_varying:  # each by itself
-        segments, (least, most), rows = problem.segments, WINDOW, []
-        count = int(np.clip(len(segments) // least, 1, most))
-        for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
-            part, rng = segments.some(chosen), randomness.generator(settings.seed, "window", k)
-            one = estimate(replace(delays.problem, segments=part), 0 * high, high, rng)
-            rows.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
-        windows = Windows(*(np.array(column) for column in zip(*rows, strict=True)))
+        windows = _windows(delays, low, high, settings.seed)
+        lines += windows.sentences(plant, findings.interval)
     return Identified(
-        plant, delays.values, interval, findings.identifiable, {name: row.value for name, row in asked.items()},
-        {name: (row.low, row.high) for name, row in asked.items()}, findings.held_back, [*far, *findings.sentences],
-        windows, {"estimate": delays, "log": log},
+        plant, findings.D, findings.interval, findings.identifiable, findings.silent,
+        {name: row.value for name, row in asked.items()}, {name: (row.low, row.high) for name, row in asked.items()},
+        findings.validation.errors, [*lines, *_far(plant, log), *findings.sentences], windows,
+        {"estimate": delays, "log": log, "early": early, "combination": combination},
     )  # fmt: skip
 
 
-def _closed(log: Log) -> float:
-    """R² of the commands by the outputs at their time: near 1 where a law without a test signal gave them."""
-    outputs = np.stack([np.interp(log.t_U, log.t[s], y[s]) for y in log.Y.T if (s := np.isfinite(y)).sum() > 1], axis=1)
-    A, U = np.column_stack([np.ones(len(outputs)), outputs]), log.U - log.U.mean(axis=0)
-    if len(A) <= A.shape[1] + 2 or not U.any():
-        return 0.0
-    left = U - A @ np.linalg.lstsq(A, U, rcond=None)[0]
-    return float(1 - (left**2).sum() / (U**2).sum())
+def _far(plant: Plant, log: Log) -> list[str]:
+    """Sentences about measured states far from the plant's box: their unit is another, perhaps."""
+    lines = []
+    for name, y in () if plant.declares_output else zip(plant.states, log.Y.T, strict=True):
+        if name in plant.box and np.isfinite(y).any():
+            (low, high), middle = plant.box[name], np.nanmedian(y)
+            if max(low - middle, middle - high) > FAR * (high - low):
+                both = f"{name} is about {middle:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
+                lines.append(f"{both}: if the units differ, scale its column.")
+    return lines
+
+
+def _windows(delays: Delays, low: np.ndarray, high: np.ndarray, seed: int) -> Windows:
+    """The delays of parts of the log, each by itself."""
+    segments, (least, most), rows = delays.problem.segments, WINDOW, []
+    count = int(np.clip(len(segments) // least, 1, most))
+    for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
+        part, rng = segments.some(chosen), randomness.generator(seed, "window", k)
+        one = estimate(replace(delays.problem, segments=part), low, high, rng)
+        rows.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
+    return Windows(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def recorded(
-    plant: Plant, path: Path, columns: Mapping[str, str] = {}, scale: Mapping[str, float] = {},
-    shift: Mapping[str, float] = {}, time: str | None = None, time_unit: str | None = None,
-) -> Log:  # fmt: skip
-    """The log in a file; a column c is scale[c] c + shift[c] in the plant's unit.
+    plant: Plant, paths: str | Path | Sequence[str | Path], columns: Mapping[str, str] = {},
+    scale: Mapping[str, float] = {}, shift: Mapping[str, float] = {}, time: str | None = None,
+    time_unit: str | None = None, period: float | None = None,
+) -> tuple[Log, list[str]]:  # fmt: skip
+    """The log in a file, or in several of one plant; a column c is scale[c] c + shift[c] in the plant's unit.
 
-    An output that the recording does not have, and that `columns` does not name, is not measured. Raises ConfigError
-    where an input has no column, or no output has one.
+    An output that the recording does not have, and that `columns` does not name, is not measured. Returns sentences
+    about the reading, too. Raises ConfigError where an input has no column, or no output has one.
     """
     every = {name: columns.get(name, name) for name in (*plant.inputs, *plant.outputs)}
     for name in columns:
         if name not in every:
             raise ConfigError(unlisted("columns", name, every, f"inputs or outputs of plant {plant.name},"))
-    names = recordings.columns(path)
-    unmeasured = [name for name in plant.outputs if every[name] not in names and name not in columns]
-    if len(unmeasured) == len(plant.outputs):
-        cure = f"map one by columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
-        one = f"a column for one of {', '.join(plant.outputs)}"
-        raise ConfigError(f"{path}: expected {one}, found {', '.join(names)}; {cure}")
-    chosen = {name: column for name, column in every.items() if name not in unmeasured}
-    for key in (*scale, *shift):
-        if key not in chosen.values():
-            raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
-    series = recordings.read(path, list(chosen.values()), time, time_unit)
-    in_units = {}
-    for name, c in chosen.items():
-        in_units[name] = series[c].t, scale.get(c, 1.0) * series[c].values + shift.get(c, 0.0)
-    return Log.of_series([in_units[name] for name in plant.inputs], [in_units.get(name) for name in plant.outputs])
+    logs, notes = [], []
+    for path in map(Path, [paths] if isinstance(paths, str | Path) else paths):
+        file = recordings.opened(path)
+        names = file.columns()
+        unmeasured = [name for name in plant.outputs if every[name] not in names and name not in columns]
+        if len(unmeasured) == len(plant.outputs):
+            cure = f"map one by columns or --state, as {plant.outputs[0]}={names[-1] if names else 'y'}"
+            one = f"a column for one of {', '.join(plant.outputs)}"
+            raise ConfigError(f"{path}: expected {one}, found {', '.join(names)}; {cure}")
+        chosen = {name: column for name, column in every.items() if name not in unmeasured}
+        for key in (*scale, *shift):
+            if key not in chosen.values():
+                raise ConfigError(unlisted("scale, shift", key, chosen.values(), "columns that are read,"))
+        read = recordings.read(
+            path, list(chosen.values()), time, time_unit, period=period, unit=plant.time_unit, file=file
+        )
+        in_units, hints = {}, []
+        for name, c in chosen.items():
+            t, values, rows = read.series[c]
+            in_units[name] = TimeSeries(t, scale.get(c, 1.0) * values + shift.get(c, 0.0), rows)
+            units = read.units.get(c, ""), plant.units.get(name, "")
+            if units[0].startswith(DEGREES) and units[1].startswith("rad") and c not in scale:
+                factor = f"{np.pi / 180:.6g}"
+                hints.append(f"{c} is in degrees, {name} of the plant in rad: scale it by --scale {c}={factor}.")
+        outputs = [in_units.get(name) for name in plant.outputs]
+        log, clock = _built(plant, [in_units[name] for name in plant.inputs], outputs)
+        logs.append(log)
+        notes += [*read.notes, *hints, *clock]
+    return (Log.joined(logs) if len(logs) > 1 else logs[0]), notes
 
 
-def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.ndarray]:
-    """The problem of a log, its steps fine enough, and the longest delays (m,)."""
+def prepared(plant: Plant, log: Log, settings: Settings, whole: bool = False) -> tuple[Problem, np.ndarray, np.ndarray]:
+    """The problem of a log, or of its part after the longest delay, and the least and longest delays (m,)."""
     if plant.declares_delay:
         raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
-    duration = log.t[-1] - log.begin
-    longest = settings.longest or min(duration / RANGE[0], RANGE[1] * log.period)
-    rows = log.between(log.begin + longest, np.inf)
+    most_delay = longest(log, settings)
+    rows = log.later(0.0 if whole else most_delay)
     names, bounds, free_range = list(plant.parameters), settings.bounds or {}, (-np.inf, np.inf)
     for name in (*settings.free, *bounds):
         if name not in names:
@@ -230,10 +351,11 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
     free = [*chosen, *assumed, *(len(names) + j for j in range(plant.m * settings.offset))]  # places in (p, offsets)
     mean = np.append(plant.p, np.zeros(plant.m))[free]
     deviation = np.where(np.isin(free, assumed), settings.model_error * np.abs(mean), np.inf)
-    limits = [bounds.get(names[k], free_range) if k < len(names) else free_range for k in free]
+    ranges = {k: bounds[names[k]] if names[k] in bounds else _one_sign(plant, k) for k in free if k < len(names)}
+    limits = [ranges.get(k, free_range) for k in free]
     prior, model = Prior(mean, deviation, np.array(limits).reshape(-1, 2).T), RolloutModel(plant, tuple(free))
     if len(rows.t) < (enough := 4 * (plant.n + len(free) + 1)):
-        later = f"samples later than the longest delay, {plant.time_text(longest)}, after the first command"
+        later = f"samples later than the longest delay, {plant.time_text(most_delay)}, after the first command"
         got = f"got {len(rows.t)}; record longer, or try shorter delays"
         raise ConfigError(f"log: expected at least {enough} {later}, {got}")
     least, most = ROWS
@@ -246,27 +368,31 @@ def prepared(plant: Plant, log: Log, settings: Settings) -> tuple[Problem, np.nd
     rates = np.linalg.eigvals(matrices[finite]).real.max(axis=1) if finite.any() else np.zeros(1)
     if (fastest := float(np.quantile(rates, 0.9))) > 0:
         count = min(count, int(min(1e9, np.log(GROWTH) / (fastest * rows.period))))
-    segments = Segments.of(rows, count, GAP * log.period)
+    segments = Segments.of(rows, count, screening.GAP * log.period)
     rough, wide = spread(np.diff(rows.Y, 2, axis=0)) / np.sqrt(6), spread(rows.Y)
     scale = np.where(rough > 0, rough, np.where(wide > 0, 1e-3 * wide, 1.0))
     problem = Problem(model, segments, scale, prior)
-    return _fine_enough(problem, np.full(plant.m, longest / 2)), np.full(plant.m, longest)
+    low = np.full(plant.m, -EARLY * log.period)
+    first = problem.some(CHECKED)
+    return replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model), low, np.full(plant.m, most_delay)
 
 
-def _fine_enough(problem: Problem, delays: np.ndarray) -> Problem:
-    """The problem with as many steps in a piece as the noise lets one see; where outputs are measured instead of
-    states, the noise of a state is taken for a twentieth of its spread.
-    """
-    few = problem.some(500)
-    X, theta = few.start()
-    pieces = few.segments.pieces(delays)
-    last, steps = None, 1
-    while steps <= FINEST:
-        model = replace(problem.model, steps=steps)
-        with np.errstate(all="ignore"):
-            x = model.states(X, theta, pieces)
-            noise = problem.scale if problem.scale.shape == (x.shape[-1],) else 0.05 * np.nanstd(x, axis=(0, 1)) + 1e-12
-            if last is not None and np.nanmean(np.abs(x - last) < SLIP * noise) > 0.99:
-                return replace(problem, model=replace(model, steps=steps // 2))
-        last, steps = x, 2 * steps
-    return replace(problem, model=replace(problem.model, steps=FINEST))
+def longest(log: Log, settings: Settings) -> float:
+    """The longest delay that is tried."""
+    return settings.longest or min(log.span / RANGE[0], RANGE[1] * log.period)
+
+
+def _one_sign(plant: Plant, k: int) -> tuple[float, float]:
+    """The limits of parameter k: those of its sign where the plant cannot have a zero there, as a time constant."""
+    at_zero = plants.varied(
+        plant, tuple((name, 0.0 if j == k else value) for j, (name, value) in enumerate(plant.parameters.items()))
+    )
+    with np.errstate(all="ignore"):
+        try:
+            finite = np.isfinite(at_zero.f(plant.guess[None], np.ones((1, plant.m)), 0.0)).all()
+        except (ArithmeticError, ValueError):
+            finite = False
+    value = plant.p[k]
+    if finite or value == 0:
+        return -np.inf, np.inf
+    return (1e-9 * value, np.inf) if value > 0 else (-np.inf, 1e-9 * value)

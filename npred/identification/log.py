@@ -4,35 +4,43 @@ A piece is a time without a sample or a command inside it: there the delayed inp
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 
 from npred.base.errors import ConfigError
+from npred.identification.recordings import TimeSeries
 
-Series = tuple[np.ndarray, np.ndarray]  # times and values
+PARTS = 4  # steps of a straight line between two commands
+BACK = 20  # periods by which a clock goes back that begins anew
 
 
 @dataclass(frozen=True)
 class Log:
-    """Samples Y (N, q) at times t (N,), NaN where an output has none; commands U (K, m), held from their times on."""
+    """Samples Y (N, q) at times t (N,), NaN where an output has none; commands U (K, m), held from their times on.
+
+    `starts` (R,) are the times at which its recordings begin; `rows` (N,) are the numbers of the samples in the file.
+    """
 
     t: np.ndarray
     Y: np.ndarray
     t_U: np.ndarray
     U: np.ndarray
+    starts: np.ndarray
+    rows: np.ndarray
 
     @classmethod
-    def of(cls, t: np.ndarray, U: np.ndarray, Y: np.ndarray) -> "Log":
+    def of(cls, t: np.ndarray, U: np.ndarray, Y: np.ndarray, rows: np.ndarray | None = None) -> "Log":
         """The log of one table: rows (N,) with commands (N, m) and outputs (N, q), NaN where a row brings nothing new.
 
         Rows are put in order; of rows with one stamp the last one counts. Raises ConfigError where nothing is left.
         """
+        rows = np.arange(len(t)) + 1 if rows is None else rows
         order = np.argsort(t, kind="stable")
-        t, U, Y = t[order], U[order], Y[order]
-        rows = np.where(np.isfinite(U), np.arange(len(U))[:, None], 0)
-        U = np.take_along_axis(U, np.maximum.accumulate(rows, axis=0), axis=0)  # a command holds until the next one
+        t, U, Y, rows = t[order], U[order], Y[order], rows[order]
+        places = np.where(np.isfinite(U), np.arange(len(U))[:, None], 0)
+        U = np.take_along_axis(U, np.maximum.accumulate(places, axis=0), axis=0)  # a command holds until the next one
         whole = np.isfinite(t) & np.isfinite(U).all(axis=1)
         last = np.append(np.diff(t) > 0, True)
         commands = whole & last
@@ -40,21 +48,48 @@ class Log:
         if commands.sum() < 2 or samples.sum() < 2:
             got = f"{int(samples.sum())} samples and {int(commands.sum())} commands; check the columns' names and units"
             raise ConfigError(f"log: expected rows with a time, every input and an output, got {got}")
-        t_U, U = t[commands], U[commands]
-        new = np.append(True, (np.diff(U, axis=0) != 0).any(axis=1))  # a command that repeats the last one says nothing
-        return cls(t[samples], Y[samples], t_U[new], U[new])
+        return cls(t[samples], Y[samples], t[commands], U[commands], t[commands][:1], rows[samples])
 
     @classmethod
-    def of_series(cls, inputs: Sequence[Series], outputs: Sequence[Series | None]) -> "Log":
-        """The log of series (t, values), one per input and output, each with its times; None is not measured."""
+    def of_series(cls, inputs: Sequence[TimeSeries | None], outputs: Sequence[TimeSeries | None]) -> "Log":
+        """The log of series, one per input and output, each with its times; None of an output is not measured."""
         every = [*inputs, *outputs]
-        t = np.unique(np.concatenate([series[0] for series in every if series]))
-        columns = np.full((len(t), len(every)), np.nan)
+        runs = [restarts(series.t) if series else None for series in every]
+        counts = {int(run[-1]) for run in runs if run is not None}
+        if len(counts) == 1 and counts != {0}:  # each series begins anew as often
+            parts = (
+                [series and TimeSeries(*(a[run == k] for a in series)) for series, run in zip(every, runs, strict=True)]
+                for k in range(counts.pop() + 1)
+            )
+            logs = [cls.of_series(part[: len(inputs)], part[len(inputs) :]) for part in parts if _long(part)]
+            return cls.joined(logs)
+        t = np.unique(np.concatenate([series.t for series in every if series]))
+        columns, rows = np.full((len(t), len(every)), np.nan), np.zeros(len(t), dtype=int)
         for column, series in zip(columns.T, every, strict=True):
             if series:
-                order = np.argsort(series[0], kind="stable")
-                column[np.searchsorted(t, series[0][order])] = series[1][order]  # for one stamp the last sample counts
-        return cls.of(t, columns[:, : len(inputs)], columns[:, len(inputs) :])
+                order = np.argsort(series.t, kind="stable")
+                places = np.searchsorted(t, series.t[order])
+                column[places] = series.values[order]  # for one stamp the last sample counts
+                rows[places] = series.rows[order]
+        return cls.of(t, columns[:, : len(inputs)], columns[:, len(inputs) :], rows)
+
+    @classmethod
+    def joined(cls, logs: Sequence["Log"]) -> "Log":
+        """Recordings one behind the other, as far apart as the longest one takes, so that no command reaches the next.
+
+        The first command of each is held before it.
+        """
+        if not logs:
+            raise ConfigError("log: expected samples in the order of their times, got a clock that always goes back")
+        apart = max(log.span for log in logs)
+        moved, end = [], 0.0
+        for k, log in enumerate(logs):
+            shift = end + apart - log.begin if k else 0.0
+            t_U = np.append(end - shift, log.t_U) if k else log.t_U
+            U = np.append(log.U[:1], log.U, axis=0) if k else log.U
+            moved.append(Log(log.t + shift, log.Y, t_U + shift, U, log.starts + shift, log.rows))
+            end = moved[-1].t[-1]
+        return cls(*(np.concatenate([getattr(log, one.name) for log in moved]) for one in fields(cls)))
 
     @cached_property
     def period(self) -> float:
@@ -66,10 +101,53 @@ class Log:
         """The time from which on the commands are known."""
         return float(self.t_U[0])
 
-    def between(self, start: float, end: float) -> "Log":
-        """The samples of a span of time, with all commands."""
-        inside = (self.t >= start) & (self.t <= end)
-        return Log(self.t[inside], self.Y[inside], self.t_U, self.U)
+    @cached_property
+    def span(self) -> float:
+        """The time that the longest of the recordings takes."""
+        ends = np.append(self.starts[1:], np.inf)
+        last = self.t[np.searchsorted(self.t, ends) - 1]
+        return float((last - self.starts).max())
+
+    def later(self, wait: float) -> "Log":
+        """The samples that come `wait` after the begin of their recording, with all commands."""
+        since = self.t - self.starts[np.maximum(np.searchsorted(self.starts, self.t, side="right") - 1, 0)]
+        return self.some(since >= wait)
+
+    def some(self, chosen: np.ndarray) -> "Log":
+        """Some of the samples, with all commands."""
+        return replace(self, t=self.t[chosen], Y=self.Y[chosen], rows=self.rows[chosen])
+
+    def arrived(self, t: np.ndarray, delays: np.ndarray) -> np.ndarray:
+        """The inputs (..., m) at times t (...) where input j arrives delays[j] late."""
+        places = [np.maximum(np.searchsorted(self.t_U + D, t, side="right") - 1, 0) for D in delays]
+        return np.stack([self.U[place, j] for j, place in enumerate(places)], axis=-1)
+
+    def as_lines(self) -> "Log":
+        """The same with commands that go on in straight lines, of which each is made of PARTS steps."""
+        share = np.arange(PARTS) / PARTS
+        t = self.t_U[:-1, None] + np.diff(self.t_U)[:, None] * share
+        U = self.U[:-1, None] + np.diff(self.U, axis=0)[:, None] * (share + 0.5 / PARTS)[:, None]
+        U = np.append(U.reshape(-1, self.U.shape[1]), self.U[-1:], axis=0)
+        return replace(self, t_U=np.append(t, self.t_U[-1]), U=U)
+
+    def held(self) -> "Log":
+        """The same without the commands that repeat the last one, which say nothing."""
+        new = np.append(True, (np.diff(self.U, axis=0) != 0).any(axis=1))
+        return replace(self, t_U=self.t_U[new], U=self.U[new])
+
+
+def _long(part: Sequence[TimeSeries | None]) -> bool:
+    """True if each series has the rows of a recording."""
+    return all(series is None or len(series.t) > BACK for series in part)
+
+
+def restarts(t: np.ndarray) -> np.ndarray:
+    """(N,) how often the clock began anew before each row: it goes back by more than BACK periods, and then goes on."""
+    step = np.diff(t)
+    forward = step[step > 0]
+    back = step < -BACK * (np.median(forward) if len(forward) else np.inf)
+    rare = back.sum() < len(t) / BACK  # else the rows are in any order
+    return np.append(0, np.cumsum(back & rare))
 
 
 def mean_square(values: np.ndarray) -> np.ndarray:
@@ -97,6 +175,7 @@ class Segments:
     t: np.ndarray
     Y: np.ndarray
     mask: np.ndarray
+    rows: np.ndarray
 
     @classmethod
     def of(cls, log: Log, rows: int, gap: float) -> "Segments":
@@ -110,14 +189,14 @@ class Segments:
         longest = max(map(len, groups))
         places = np.array([np.append(g, np.full(longest - len(g), g[-1])) for g in groups])
         mask = np.arange(longest) < np.array([len(g) for g in groups])[:, None]
-        return cls(log, log.t[places], np.where(mask[..., None], log.Y[places], np.nan), mask)
+        return cls(log, log.t[places], np.where(mask[..., None], log.Y[places], np.nan), mask, log.rows[places])
 
     def __len__(self) -> int:
         return len(self.t)
 
     def some(self, chosen: np.ndarray | slice) -> "Segments":
         """Some of the segments."""
-        return Segments(self.log, self.t[chosen], self.Y[chosen], self.mask[chosen])
+        return Segments(self.log, self.t[chosen], self.Y[chosen], self.mask[chosen], self.rows[chosen])
 
     def pieces(self, delays: Sequence[float] | np.ndarray) -> "Pieces":
         """The pieces of each segment where input j arrives delays[j] late."""

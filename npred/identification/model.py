@@ -6,7 +6,7 @@ input passes a first-order lag first, a' = (u - a) / tau, whose state at the beg
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,11 @@ class RolloutModel:
     lag: bool = False
     steps: int = 1  # RK4's steps in a piece
 
+    @property
+    def _alike(self) -> "RolloutModel":
+        """The same model whatever its steps are, which keeps the kernels."""
+        return _alike(self.plant, self.free, self.lag)
+
     def parameters(self, theta: np.ndarray) -> np.ndarray:
         """The plant's parameters and the offsets, with theta in place."""
         p = np.append(self.plant.p, np.zeros(self.plant.m))
@@ -56,7 +61,7 @@ class RolloutModel:
         for k in range(n):
             begin[n + k * n + k] = 1.0
         p, begin = self._with_lag(self.parameters(theta), begin, lag)
-        P = self._sampled(self._sensitive, begin, p, pieces)
+        P = self._sampled(self._alike._sensitive, begin, p, pieces)
         return P[..., :n], P[..., n : n * (1 + columns)].reshape(*P.shape[:2], columns, n).swapaxes(-1, -2)
 
     def _differences(self, X: np.ndarray, theta: np.ndarray, pieces: Pieces, lag: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +81,7 @@ class RolloutModel:
     def states(self, X: np.ndarray, theta: np.ndarray, pieces: Pieces, lag: Any = None) -> np.ndarray:
         """The states of the samples alone."""
         p, begin = self._with_lag(self.parameters(theta), np.ascontiguousarray(X.T), lag)
-        run = self._plain if self.plant.traced else self._called
+        run = self._alike._plain if self.plant.traced else self._called
         return self._sampled(run, begin, p, pieces)[..., : self.plant.n]
 
     def _with_lag(self, p: np.ndarray, begin: np.ndarray, lag: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +169,7 @@ class RolloutModel:
             return x, J
         q, n, count = len(plant.outputs), plant.n, len(plant.p)
         with np.errstate(all="ignore"):
-            values = self._measuring(*np.moveaxis(x, -1, 0), t, *p[:count])
+            values = self._alike._measuring(*np.moveaxis(x, -1, 0), t, *p[:count])
         values = np.stack([np.broadcast_to(value, t.shape) for value in values], axis=-1)
         y, by_x = values[..., :q], values[..., q : q + q * n].reshape(*t.shape, n, q).swapaxes(-1, -2)
         G, theta = by_x @ J, [k for k, place in enumerate(self.free) if place < count]
@@ -189,3 +194,8 @@ class RolloutModel:
         columns = [programs.derivative(y, by, unit) for unit in np.eye(len(by))]
         inputs = [*tape.names("x", plant.n), "t", *tape.names("p", len(plant.p))]
         return python([*y, *(v for column in columns for v in column)], inputs)
+
+
+@lru_cache(maxsize=32)
+def _alike(plant: Plant, free: tuple[int, ...], lag: bool) -> RolloutModel:
+    return RolloutModel(plant, free, lag)

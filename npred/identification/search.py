@@ -12,8 +12,9 @@ from npred.identification.fit import SegmentFit
 
 At = Callable[[np.ndarray, SegmentFit | None], SegmentFit]  # the fit at some coordinates, from another one
 LEVEL = 3.84  # chi² with one degree of freedom at 95 %
-FAR = 60.0  # above the least cost a profile may end
-GROWTH = 1.35
+FAR = 30.0  # above the least cost a profile may end
+EQUAL = 3  # places where all coordinates are equal, from which each is searched by itself
+GROWTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -31,18 +32,20 @@ class Profile:
 
 def scan(at: At, low: np.ndarray, high: np.ndarray, spacing: float, most: int = 400) -> list[tuple[np.ndarray, float]]:
     """The places of local minima on a grid, the best first: all coordinates equal, then each by itself."""
-    count = int(np.clip(np.ceil((high - low).max() / spacing), 8, most)) + 1
+    count = int(np.clip(np.ceil((high - low).max() / spacing), 8, most if len(low) == 1 else most // 4)) + 1
     shares = np.linspace(0.0, 1.0, count)
     minima = _minima(at, [low + share * (high - low) for share in shares])
     if len(low) == 1:
         return minima
-    best = minima[0]
-    for _ in range(2):
-        for j in range(len(low)):
-            grid = np.tile(best[0], (count, 1))
-            grid[:, j] = low[j] + shares * (high[j] - low[j])
-            best = min([best, *_minima(at, list(grid))], key=lambda pair: pair[1])
-    return [best]
+    places = []
+    for best in minima[:EQUAL]:
+        for _ in range(2):
+            for j in range(len(low)):
+                grid = np.tile(best[0], (count, 1))
+                grid[:, j] = low[j] + shares * (high[j] - low[j])
+                best = min([best, *_minima(at, list(grid))], key=lambda pair: pair[1])
+        places.append(best)
+    return sorted(places, key=lambda pair: pair[1])
 
 
 def _minima(at: At, grid: list[np.ndarray]) -> list[tuple[np.ndarray, float]]:
@@ -87,9 +90,10 @@ def descend(
 
 
 def profile(
-    at: At, fit: SegmentFit, z: np.ndarray, j: int, low: np.ndarray, high: np.ndarray, widths: np.ndarray
-) -> Profile:
-    """The costs along coordinate j, outwards to where they are FAR above the least one, or to an end of the range."""
+    at: At, fit: SegmentFit, z: np.ndarray, j: int, low: np.ndarray, high: np.ndarray, widths: np.ndarray,
+    far: float = FAR,
+) -> Profile:  # fmt: skip
+    """The costs along coordinate j, outwards to where they are `far` above the least one, or to an end of the range."""
     fits = {float(z[j]): fit}
     first = min(max(0.4 * widths[j], 1e-6 * (high[j] - low[j])), (high[j] - low[j]) / 20)
     for side in (-1.0, 1.0):
@@ -101,7 +105,7 @@ def profile(
                 break
             there, last = _others(at, there, last, j, low, high, widths)
             fits[float(there[j])] = last
-            if not last.cost - fit.cost < FAR:
+            if not last.cost - fit.cost < far:
                 break
             step = min(step * GROWTH, (high[j] - low[j]) / 12)
     values = np.array(sorted(fits))

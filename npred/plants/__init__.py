@@ -3,7 +3,7 @@
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -43,10 +43,13 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
     return resolve(name, parameters, kappa)
 
 
-def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "") -> Plant:
+def resolve(
+    name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "", delays: Sequence[float] | None = None
+) -> Plant:  # fmt: skip
     """The plant as `plant` makes it, its parameters in a table.
 
     `kappa` may also be a table of a law's name and its arguments, {"law": "pole_placement", "poles": [-1, -2]}.
+    `delays`, one per input, take the place of those that the class declares.
     """
     spec = source = None  # a class of a script has neither
     if isinstance(name, type):
@@ -65,6 +68,10 @@ def resolve(name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa
             near = similar(name, [*names(), *map(str, Path().glob("*.py"))])
             any_of = f"one of {', '.join(names())}, or a file as my_plant.py:Tank"
             raise ConfigError(f"plant {name!r}: expected {any_of}{near}")
+    if delays is not None:
+        source = source or registry.declaring(declaration)
+        parts = {"delays": tuple(delays), "__module__": declaration.__module__}
+        declaration = type(declaration.__name__, (declaration,), parts)
     plant = make(kind, declaration, parameters, source)
     plant.spec = spec
     return controlled(plant, kappa)
@@ -99,12 +106,15 @@ def varied(plant: Plant, parameters: Values) -> Plant:
 
 
 @lru_cache(maxsize=128)
-def restored(spec: str, parameters: Values, digest: str | None, kappa: Callable[..., Any] | None) -> Plant:
+def restored(
+    spec: str, parameters: Values, digest: str | None, kappa: Callable[..., Any] | None,
+    delays: tuple[float, ...] | None = None,
+) -> Plant:  # fmt: skip
     """The plant that was pickled by its name, one per process, for it keeps its compiled code.
 
     Raises ConfigError where it is not there, or its file has changed since.
     """
-    plant = resolve(spec, dict(parameters), kappa or "")
+    plant = resolve(spec, dict(parameters), kappa or "", delays)
     if (plant.source and plant.source.sha256) != digest:
         raise ConfigError(f"plant {spec}: expected the file that was pickled, got another text; pickle the plant again")
     return plant

@@ -71,7 +71,8 @@ class Plant(InNotebook):
 
         parameters = tuple(self.parameters.items())
         if self.spec is not None:
-            return plants.restored, (self.spec, parameters, self.source and self.source.sha256, self.law)
+            digest = self.source and self.source.sha256
+            return plants.restored, (self.spec, parameters, digest, self.law, self.delays)
         return plants.remade, (type(self), self.name, self.declared, parameters, self.law)
 
     def controlled(self, kappa: Callable[..., Any]) -> "Plant":

@@ -7,8 +7,13 @@ from hypothesis import strategies as st
 
 from npred.base.errors import ConfigError
 from npred.identification.log import Log, Segments
+from npred.identification.recordings import TimeSeries
 
 NAN = np.nan
+
+
+def series(t, values) -> TimeSeries:
+    return TimeSeries(np.array(t, dtype=float), np.array(values, dtype=float), np.arange(len(t)) + 1)
 
 
 def log_of(t, U, Y) -> Log:
@@ -22,20 +27,36 @@ def test_rows_are_put_in_order_and_of_one_stamp_the_last_one_counts():
 
 
 def test_a_command_is_held_until_the_next_one_and_one_that_repeats_it_is_left_out():
-    log = log_of([0, 1, 2, 3], [1, NAN, 1, 2], [NAN, 5, 6, 7])
+    log = log_of([0, 1, 2, 3], [1, NAN, 1, 2], [NAN, 5, 6, 7]).held()
     assert log.t_U.tolist() == [0.0, 3.0] and log.t.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_series_with_times_of_their_own_make_one_table():
-    log = Log.of_series(
-        [(np.array([0.0, 2.0]), np.array([1.0, 2.0]))], [(np.array([1.0, 3.0]), np.array([5.0, 6.0])), None]
-    )
+    log = Log.of_series([series([0.0, 2.0], [1.0, 2.0])], [series([1.0, 3.0], [5.0, 6.0]), None])
     assert log.t.tolist() == [1.0, 3.0] and log.Y[:, 0].tolist() == [5.0, 6.0] and np.isnan(log.Y[:, 1]).all()
 
 
 def test_a_log_without_samples_is_refused_in_one_line():
     with pytest.raises(ConfigError, match="got 0 samples and 3 commands"):
         log_of([0, 1, 2], [1, 2, 3], [NAN, NAN, NAN])
+
+
+def test_a_clock_that_begins_anew_begins_a_recording_whose_commands_do_not_reach_the_next():
+    t = np.tile(np.arange(50.0), 2)
+    log = Log.of_series([series(t, np.arange(100.0))], [series(t, np.arange(100.0))])
+    assert len(log.t) == 100 and (np.diff(log.t) > 0).all() and len(log.starts) == 2
+    assert log.span == 49 and log.rows.tolist() == list(range(1, 101))
+    assert len(log.later(10.0).t) == 80  # of each recording the first ten
+    arrived = log.arrived(log.t[50:], np.array([20.0]))[:, 0]
+    assert arrived.tolist() == [50.0] * 20 + list(range(50, 80))  # its first command is held before it
+
+
+def test_commands_in_straight_lines_have_the_same_mean_in_each_step():
+    log = log_of([0, 1, 3], [0, 4, 0], [1, 2, 3])
+    lines = log.as_lines()
+    t = np.linspace(0.0, 2.999, 3000)
+    assert lines.arrived(t, np.zeros(1))[:, 0] == pytest.approx(np.interp(t, log.t_U, log.U[:, 0]), abs=0.51)
+    assert lines.arrived(t, np.zeros(1)).mean() == pytest.approx(np.interp(t, log.t_U, log.U[:, 0]).mean(), abs=5e-3)
 
 
 def test_a_gap_ends_a_segment():

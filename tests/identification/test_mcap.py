@@ -33,7 +33,7 @@ def write(path, messages, encoding="json", **options):
 
 
 def values(path, name, **options):
-    t, column = recordings.read(path, [name], **options)[name]
+    t, column, _ = recordings.read(path, [name], **options).series[name]
     return t.tolist(), column.tolist()
 
 
@@ -59,10 +59,10 @@ def test_fields_are_read_at_their_stamps_or_at_the_times_of_the_log(log):
     assert values(log, "/state.h[0]") == (pytest.approx([0.005, 0.495], rel=1e-12), [0.25, 0.5])
     assert values(log, "/state.h[1].x") == (pytest.approx([0.005], rel=1e-12), [7])
     assert values(log, "/state.h[0]", time="log") == (pytest.approx([0.01, 0.51], rel=1e-12), [0.25, 0.5])
-    both = recordings.read(log, ["/cmd.q", "/state.h[0]"])
+    both = recordings.read(log, ["/cmd.q", "/state.h[0]"]).series
     assert both["/cmd.q"].values.tolist() == [1.5, 2] and both["/state.h[0]"].values.tolist() == [0.25, 0.5]
     stamp = ["/state.header.stamp.sec", "/state.header.stamp.nanosec"]
-    assert recordings.columns(log) == ["/cmd.q", "/cmd.on", *stamp, "/state.h[0]", "/state.h[1].x"]
+    assert recordings.opened(log).columns() == ["/cmd.q", "/cmd.on", *stamp, "/state.h[0]", "/state.h[1].x"]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_fields_are_read_at_their_stamps_or_at_the_times_of_the_log(log):
 def test_a_file_without_an_index_is_read_as_a_whole(tmp_path, options):
     path = write(tmp_path / "log.mcap", [("/cmd", k * 10**9, {"q": k}) for k in range(5)], **options)
     assert values(path, "/cmd.q") == (pytest.approx([0, 1, 2, 3, 4]), [0, 1, 2, 3, 4])
-    assert recordings.columns(path) == ["/cmd.q"]
+    assert recordings.opened(path).columns() == ["/cmd.q"]
 
 
 @pytest.mark.parametrize(
@@ -102,15 +102,28 @@ def test_times_are_of_one_clock(tmp_path):
     assert values(path, "/state.x")[0] == [0, 1, 2]
     with pytest.raises(ConfigError, match=r"expected times of one clock, got stamps of /state .*; give --time log"):
         recordings.read(path, ["/state.x", "/cmd.q"])
-    both = recordings.read(path, ["/state.x", "/cmd.q"], time="log")
+    both = recordings.read(path, ["/state.x", "/cmd.q"], time="log").series
     assert both["/cmd.q"].t.tolist() == [1, 2] and both["/state.x"].t.tolist() == [0, 1, 2]
 
 
 def test_times_may_be_a_field(tmp_path):
     path = write(tmp_path / "log.mcap", [("/cmd", k, {"clock": {"ms": 20 * k}, "q": k}) for k in range(3)])
     assert values(path, "/cmd.q", time="clock.ms", time_unit="ms")[0] == pytest.approx([0, 0.02, 0.04])
+    assert values(path, "/cmd.q", time="clock.ms", unit="min")[0] == [0, 20, 40]
     with pytest.raises(ConfigError, match=r"expected numbers in /cmd.q, got numbers without a time"):
         recordings.read(path, ["/cmd.q"], time="nothing")
+
+
+def test_times_are_in_the_unit_of_the_plant_and_their_source_is_said(log):
+    assert values(log, "/cmd.q", unit="min") == ([0, 0.5 / 60], [1.5, 2])
+    assert recordings.read(log, ["/cmd.q"], unit="min").notes == [
+        "log.mcap: 2 messages; times from the stamps of the messages, else of the log, in min."
+    ]
+    assert recordings.read(log, ["/state.h[0]", "/cmd.q"]).series["/state.h[0]"].rows.tolist() == [1, 2]
+    with pytest.raises(ConfigError, match=r"expected a plant with a time_unit .* got 'periods'"):
+        recordings.read(log, ["/cmd.q"], unit="periods")
+    with pytest.raises(ConfigError, match=r"period: expected none for .*, whose messages have times, got 0.1; drop it"):
+        recordings.read(log, ["/cmd.q"], period=0.1)
 
 
 def test_the_longest_topic_counts(tmp_path):
@@ -141,7 +154,7 @@ def test_other_encodings_are_refused_and_hide_no_other_topic(tmp_path):
     words = "expected messages as JSON or of ROS 2 \\(CDR\\), got protobuf with the schema none; convert them"
     with pytest.raises(ConfigError, match=words):
         recordings.read(path, ["/cmd.q"])
-    assert recordings.columns(path) == []
+    assert recordings.opened(path).columns() == []
 
 
 def test_what_is_no_mcap_is_refused_in_one_line(tmp_path, log):
@@ -171,7 +184,7 @@ def test_messages_of_ros2(tmp_path, monkeypatch):
             message = {"header": header, "position": [k, 2.0], "effort": [0.5, -k], "frame": "f", "on": True}
             writer.write_message("/joints", schema, message, log_time=ns + 3_000_000)
     assert values(tmp_path / "log.mcap", "/joints.effort[1]") == (pytest.approx([-0.003, 0.097, 0.197]), [0, -1, -2])
-    assert recordings.columns(tmp_path / "log.mcap")[2:] == [
+    assert recordings.opened(tmp_path / "log.mcap").columns()[2:] == [
         "/joints.position[0]", "/joints.position[1]", "/joints.effort[0]", "/joints.effort[1]", "/joints.on",
     ]  # fmt: skip
     monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)  # as if it were not installed

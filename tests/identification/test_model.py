@@ -44,7 +44,7 @@ class Swing:
 def segments(outputs: int) -> Segments:
     rng = np.random.default_rng(3)
     t_U, t = np.arange(12) * 0.3, np.sort(rng.uniform(0.9, 3.4, 20))
-    log = Log(t, rng.standard_normal((20, outputs)), t_U, rng.standard_normal((12, 1)))
+    log = Log(t, rng.standard_normal((20, outputs)), t_U, rng.standard_normal((12, 1)), t_U[:1], np.arange(20))
     return Segments.of(log, 7, 1.0)
 
 

@@ -11,9 +11,8 @@ from conftest import process_environment
 from npred.base import registry
 from npred.base.errors import ConfigError
 from npred.identification import recordings
-from npred.identification.recordings import csv
-
-FORMATS = "csv, txt, tsv, mcap, bag, db3, ulg"
+from npred.identification.recordings.arrays import Json, Mat
+from npred.identification.recordings.text import Text
 
 
 @pytest.fixture
@@ -24,28 +23,26 @@ def table(tmp_path):
 
 
 def test_series_have_times_of_their_own_without_what_is_not_finite(table):
-    series = recordings.read(table, ["level", "valve"])
+    series = recordings.read(table, ["level", "valve"]).series
     assert list(series) == ["level", "valve"]
     np.testing.assert_array_equal(series["level"].t, [0, 1, 3])
     np.testing.assert_array_equal(series["level"].values, [2.5, 2.25, 1])
     np.testing.assert_array_equal(series["valve"].t, [0])
-    assert recordings.columns(table) == ["t", "valve", "level", "empty"]
+    assert recordings.opened(table).columns() == ["t", "valve", "level", "empty"]
 
 
 @pytest.mark.parametrize(
     ("name", "names", "words"),
     [
         ("none.csv", ["level"], "none.csv: expected a recording, found no file; check the path"),
-        ("log.xyz", ["level"], f"log.xyz: expected a file that ends in {FORMATS}, got 'xyz'"),
-        ("log", ["level"], f"log: expected a file that ends in {FORMATS}, got ''; convert it"),
+        ("photo.png", ["level"], "photo.png: expected a table of text, got bytes of another kind; save it as CSV"),
         ("log.csv", ["vlave"], "log.csv: expected the name of a column with numbers, got 'vlave'; did you mean valve"),
         ("log.csv", ["q"], "got 'q'; choose one of t, valve, level, empty"),
         ("log.csv", ["empty"], "log.csv: expected numbers in empty, got empty cells or NaN alone; name another column"),
     ],
 )
 def test_what_cannot_be_read_is_one_line(table, name, names, words):
-    for other in ("log.xyz", "log"):
-        table.with_name(other).write_text("t,level\n0,1\n")
+    table.with_name("photo.png").write_bytes(bytes(range(32)))
     with pytest.raises(ConfigError) as refusal:
         recordings.read(table.with_name(name), names)
     assert words in str(refusal.value) and "\n" not in str(refusal.value)
@@ -58,51 +55,52 @@ def test_numbers_without_a_time_are_not_called_empty(tmp_path):
 
 
 def test_an_unknown_unit_is_refused(table):
-    with pytest.raises(ConfigError, match=r"time_unit: expected one of s, ms, us, µs, ns, min, h, got 'days'"):
-        recordings.read(table, ["level"], time_unit="days")
+    with pytest.raises(ConfigError, match=r"time_unit: expected one of s, ms, us, µs, ns, min, h, d, got 'weeks'"):
+        recordings.read(table, ["level"], time_unit="weeks")
 
 
 def test_suffixes_are_found_in_capitals(table):
     table.rename(table.with_name("LOG.CSV"))
-    assert recordings.columns(table.with_name("LOG.CSV"))[0] == "t"
+    assert recordings.opened(table.with_name("LOG.CSV")).columns()[0] == "t"
 
 
-def test_the_formats_that_read_text_need_no_package():
-    assert {name for name in registry.RECORDINGS.names() if registry.RECORDINGS.load("recording", name) is csv.Csv} == {
-        "csv", "txt", "tsv",
-    }  # fmt: skip
+def test_the_formats_of_tables():
+    classes = {name: registry.RECORDINGS.load("recording", name) for name in registry.RECORDINGS.names()}
+    assert {name for name, kind in classes.items() if kind is Text} == {"csv", "txt", "tsv", "dat", "asc", "log", "lvm"}
+    assert classes["mat"] is Mat and classes["json"] is Json
 
 
 def test_without_the_package_of_a_format_it_is_asked_for(table):
-    suffixes = {"mcap": "mcap", "bag": "rosbag", "db3": "rosbag", "ulg": "ulog"}  # and the extra of each
+    suffixes = dict.fromkeys(("csv", "json", "mat"), "identify")
+    suffixes |= {"mcap": "mcap", "bag": "rosbag", "db3": "rosbag", "ulg": "ulog"}  # and the extra of each
     program = (
         "import without_extras, pathlib\nfrom npred.base import errors\nfrom npred.identification import recordings\n"
         f"for suffix in {list(suffixes)}:\n    path = pathlib.Path(f'log.{{suffix}}')\n    path.touch()\n"
-        "    try:\n        recordings.columns(path)\n    except errors.MissingError as error:\n        print(error)\n"
-        "print(recordings.columns(pathlib.Path('log.csv'))[0])\n"
+        "    try:\n        recordings.opened(path)\n    except errors.MissingError as error:\n        print(error)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=table.parent, env=process_environment(), capture_output=True, text=True
     )
-    *lines, first = done.stdout.splitlines()
-    assert (first, done.stderr) == ("t", "")
-    for line, (suffix, extra) in zip(lines, suffixes.items(), strict=True):
+    assert done.stderr == ""
+    for line, (suffix, extra) in zip(done.stdout.splitlines(), suffixes.items(), strict=True):
         assert line.startswith(f"recording {suffix}: expected the package ")
         assert line.endswith(f", found none; pip install 'npred[{extra}]'")
 
 
 def test_a_package_brings_a_format(package, tmp_path):
     text = (
-        "import numpy as np\nfrom npred.identification.recordings import TimeSeries\n"
+        "import numpy as np\nfrom npred.identification.recordings import Contents, TimeSeries\n"
         "class Log:\n    def __init__(self, path):\n        self.path = path\n"
         "    def columns(self):\n        return ['q']\n"
-        "    def series(self, names, time, unit):\n"
-        "        return {name: TimeSeries(np.arange(2.0), np.ones(2)) for name in names}\n"
+        "    def contents(self, names, source):\n"
+        "        series = TimeSeries(np.arange(2.0), np.ones(2), np.arange(1, 3))\n"
+        "        return Contents(dict.fromkeys(names, series), [f'{source.period} {source.unit}'])\n"
     )
     package("abc = shed_of_tanks:Log", text, group="npred.recordings")
     (tmp_path / "log.abc").write_bytes(b"")
-    assert recordings.columns(tmp_path / "log.abc") == ["q"]
-    assert recordings.read(tmp_path / "log.abc", ["q"])["q"].values.tolist() == [1, 1]
+    assert recordings.opened(tmp_path / "log.abc").columns() == ["q"]
+    read = recordings.read(tmp_path / "log.abc", ["q"], period=2.0, unit="h")
+    assert read.series["q"].values.tolist() == [1, 1] and read.notes == ["2.0 h"]
 
 
 def test_failures_of_a_decoder_are_one_line():

@@ -48,19 +48,19 @@ def ros2(tmp_path):
 @pytest.mark.parametrize("kind", ["ros1", "ros2"])
 def test_both_kinds_of_bags_are_read(request, kind):
     bag = request.getfixturevalue(kind)
-    series = recordings.read(bag, ["/joints.position[1]", "/cmd.data"])
+    series = recordings.read(bag, ["/joints.position[1]", "/cmd.data"]).series
     assert series["/joints.position[1]"].t == pytest.approx([-0.002, 0.098, 0.198], rel=1e-12)
     assert series["/joints.position[1]"].values.tolist() == [0, 10, 20]
     assert series["/cmd.data"].t == pytest.approx([0, 0.1, 0.2], rel=1e-12)
     assert series["/cmd.data"].values.tolist() == [0, 0.5, 1]
-    names = recordings.columns(bag)
+    names = recordings.opened(bag).columns()
     assert {"/cmd.data", "/joints.velocity[0]", "/joints.header.stamp.sec"} <= set(names)
     assert not [name for name in names if "frame_id" in name or "msgtype" in name]
 
 
 def test_a_db3_file_stands_for_its_folder(ros2):
     (file,) = ros2.glob("*.db3")
-    assert recordings.read(file, ["/cmd.data"])["/cmd.data"].values.tolist() == [0, 0.5, 1]
+    assert recordings.read(file, ["/cmd.data"]).series["/cmd.data"].values.tolist() == [0, 0.5, 1]
 
 
 def test_names_that_a_bag_lacks_are_refused(ros1):

@@ -32,19 +32,30 @@ def log(tmp_path):
 
 
 def test_fields_of_every_instance_are_read(log):
-    series = recordings.read(log, ["rates.xyz[0]", "rates[1].xyz[1]", "rates.on"])
+    series = recordings.read(log, ["rates.xyz[0]", "rates[1].xyz[1]", "rates.on"]).series
     assert series["rates.xyz[0]"].t == pytest.approx([0.001, 0.021, 0.041, 0.061])
     assert series["rates.xyz[0]"].values.tolist() == [0, 0.5, 1, 1.5]
     assert series["rates[1].xyz[1]"].t == pytest.approx([0.001, 0.021, 0.061])
     assert series["rates[1].xyz[1]"].values.tolist() == [0, -1, -3]
     assert series["rates.on"].values.tolist() == [0, 1, 0, 1]
     fields = ["timestamp", "timestamp_sample", "xyz[0]", "xyz[1]", "on"]
-    assert recordings.columns(log) == [f"{topic}.{field}" for topic in ("rates", "rates[1]") for field in fields]
+    assert recordings.opened(log) == [
+        f"{topic}.{field}" for topic in ("rates", "rates[1]").columns() for field in fields
+    ]
 
 
 def test_times_may_be_another_field(log):
-    t = recordings.read(log, ["rates.on"], time="timestamp_sample", time_unit="us")["rates.on"].t
+    t = recordings.read(log, ["rates.on"], time="timestamp_sample", time_unit="us").series["rates.on"].t
     assert t == pytest.approx([4.998, 5.018, 5.038, 5.058])
+
+
+def test_times_are_in_the_unit_of_the_plant_and_their_source_is_said(log):
+    read = recordings.read(log, ["rates.on"], unit="ms")
+    assert read.series["rates.on"].t == pytest.approx([1, 21, 41, 61])
+    assert read.series["rates.on"].rows.tolist() == [1, 2, 3, 4]
+    assert read.notes == ["log.ulg: 4 messages; times from timestamp in us, in ms."]
+    with pytest.raises(ConfigError, match=r"period: expected none for .*log.ulg"):
+        recordings.read(log, ["rates.on"], period=1)
 
 
 @pytest.mark.parametrize("name", ["rates.xyz", "rate.on", "rates[2].on"])
@@ -63,9 +74,9 @@ def test_what_is_no_ulog_is_refused_in_one_line_and_prints_nothing(tmp_path, cap
 def test_a_damaged_log_is_read_as_far_as_it_goes_and_prints_nothing(log, capsys):
     whole = log.read_bytes()
     log.write_bytes(whole[:-5])
-    assert recordings.read(log, ["rates[1].on"])["rates[1].on"].values.tolist() == [0, 1, 0]
+    assert recordings.read(log, ["rates[1].on"]).series["rates[1].on"].values.tolist() == [0, 1, 0]
     log.write_bytes(whole + message("D", struct.pack("<H", 9) + bytes(25)))  # of no topic
-    assert recordings.read(log, ["rates[1].on"])["rates[1].on"].values.tolist() == [0, 1, 0, 1]
+    assert recordings.read(log, ["rates[1].on"]).series["rates[1].on"].values.tolist() == [0, 1, 0, 1]
     assert capsys.readouterr().out == ""
 
 

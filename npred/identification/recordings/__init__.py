@@ -1,9 +1,11 @@
 """Recordings of a plant: the columns of a table, or the fields of messages, each as a series with its times.
 
 A format is a class in a file of this folder, with a line in npred.base.registry.RECORDINGS, where its suffix finds it.
+A file of another suffix is read as a table of text.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -13,15 +15,63 @@ import numpy as np
 from npred.base.errors import ConfigError, NpredError, first_line, similar, unlisted
 from npred.base.registry import RECORDINGS
 
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+WORDS = {
+    1.0: "s sec secs second seconds sek", 1e-3: "ms msec millis millisecond milliseconds",
+    1e-6: "us µs μs usec micros microsecond microseconds", 1e-9: "ns nsec nanosecond nanoseconds",
+    60.0: "min mins minute minutes", 3600.0: "h hr hrs hour hours", 86400.0: "d day days",
+}  # fmt: skip
+UNITS = {word: seconds for seconds, words in WORDS.items() for word in words.split()}  # of time, in s
+USUAL = ("s", "ms", "us", "µs", "ns", "min", "h", "d")  # those that a message lists
 LISTED = 12  # names in a message
 
 
 class TimeSeries(NamedTuple):
-    """Values (N,) at their times t (N,) in seconds."""
+    """Values (N,) at their times t (N,), each from the line of a text, the row of arrays or the message `rows` (N,),
+    which are counted from 1.
+    """
 
     t: np.ndarray
     values: np.ndarray
+    rows: np.ndarray
+
+
+class Contents(NamedTuple):
+    """Series by name; sentences for people, the first of which says where the times come from; units, where known."""
+
+    series: dict[str, TimeSeries]
+    notes: list[str]
+    units: dict[str, str] = {}
+
+
+class TimeSource(NamedTuple):
+    """The times of a recording: the name of their column and their unit, or the time between two rows of a table.
+
+    All times come out in `unit`, that of the plant, which need not be one of UNITS.
+    """
+
+    time: str | None = None
+    time_unit: str | None = None
+    period: float | None = None
+    unit: str = "s"
+
+    def scale(self, path: Path, unit: str | None) -> tuple[float, str]:
+        """How much of the plant's unit one of a file's unit is, which None leaves open, and the latter in words.
+
+        Raises ConfigError as `per` does, and for a period: this is of messages, which have their times.
+        """
+        if self.period is not None:
+            expected = f"period: expected none for {path}, whose messages have times"
+            raise ConfigError(f"{expected}, got {self.period:g}; drop it")
+        return (1.0, " (without a unit, so in the plant's)") if unit is None else (self.per(path, unit), f" in {unit}")
+
+    def per(self, path: Path, unit: str) -> float:
+        """How much of the plant's unit one of UNITS is. Raises ConfigError where the plant's is none of them."""
+        if unit == self.unit:
+            return 1.0
+        if self.unit not in UNITS:
+            expected = f"a plant with a time_unit that times in {unit} can be brought to, one of {', '.join(USUAL)}"
+            raise ConfigError(f"{path}: expected {expected}, got {self.unit!r}; change it in the plant")
+        return UNITS[unit] / UNITS[self.unit]
 
 
 class Recording(Protocol):
@@ -31,48 +81,48 @@ class Recording(Protocol):
         """The names that the file has."""
         ...
 
-    def series(self, names: Sequence[str], time: str | None, unit: str | None) -> Mapping[str, TimeSeries]:
+    def contents(self, names: Sequence[str], source: TimeSource) -> Contents:
         """The series of these names as they are, also where not finite: see `read`."""
         ...
 
 
 def read(
-    path: Path, names: Sequence[str], time: str | None = None, time_unit: str | None = None
-) -> dict[str, TimeSeries]:
-    """The series of the columns or fields `names`, finite values only.
+    path: Path, names: Sequence[str], time: str | None = None, time_unit: str | None = None,
+    *, period: float | None = None, unit: str = "s", file: Recording | None = None,
+) -> Contents:  # fmt: skip
+    """The series of the columns or fields `names`, finite values only, with times in the plant's `unit`.
 
-    Times are in the order of the file. `time` names their column, or the field of each message that has them; by
-    default it is found. `time_unit` is one of UNITS; by default the one that the header of a table gives, else s.
-    Raises ConfigError for a file, a name, a time or a number that cannot be read, MissingError without the package
-    of a format.
+    Times are in the order of the file, also where its clock goes back. `time` names their column, or the field of each
+    message that has them; by default it is found. `time_unit`, one of UNITS, is that of times which are numbers; by
+    default the one that a table names, else `unit`. `period`, in `unit`, is the time between two rows of a table that
+    has no times; `file` is what was opened already. Raises ConfigError for a file, a name, a time or a number that
+    cannot be read, MissingError without the package of a format.
     """
-    if time_unit is not None and time_unit not in UNITS:
-        raise ConfigError(unlisted("time_unit", time_unit, UNITS))
-    kept, every = {}, opened(path).series(names, time, time_unit)
+    if time_unit is not None and time_unit not in (*UNITS, unit):
+        raise ConfigError(unlisted("time_unit", time_unit, USUAL))
+    if period is not None and not (math.isfinite(period) and period > 0):
+        raise ConfigError(f"period: expected a time above 0 in {unit}, got {period!r}; give that between two rows")
+    if period is not None and time is not None:
+        raise ConfigError(f"period: expected either the times of {time!r} or a period, got both; drop one")
+    every = (file or opened(path)).contents(list(dict.fromkeys(names)), TimeSource(time, time_unit, period, unit))
+    kept = {}
     for name in names:
-        t, values = every[name]
+        t, values, rows = every.series[name]
         number = np.isfinite(values)
-        rows = number & np.isfinite(t)
-        if not rows.any():
+        timed = number & np.isfinite(t)
+        if not timed.any():
             got = "numbers without a time" if number.any() else "empty cells or NaN alone" if len(t) else "no rows"
             raise ConfigError(f"{path}: expected numbers in {name}, got {got}; name another column or check the file")
-        kept[name] = TimeSeries(t[rows], values[rows])
-    return kept
-
-
-def columns(path: Path) -> list[str]:
-    """The names that a file has. Raises ConfigError and MissingError as `read` does."""
-    return opened(path).columns()
+        kept[name] = TimeSeries(t[timed], values[timed], rows[timed])
+    return every._replace(series=kept)
 
 
 def opened(path: Path) -> Recording:
     """The recording in a file, by its suffix; a folder is a ROS 2 bag. Raises ConfigError and MissingError."""
     if not path.exists():
         raise ConfigError(f"{path}: expected a recording, found no file; check the path")
-    form, forms = "db3" if path.is_dir() else path.suffix[1:].lower(), RECORDINGS.names()
-    if form not in forms:
-        raise ConfigError(unlisted(str(path), form, forms, "a file that ends in", "convert it"))
-    return RECORDINGS.load("recording", form)(path)
+    form = "db3" if path.is_dir() else path.suffix[1:].lower()
+    return RECORDINGS.load("recording", form if form in RECORDINGS.names() else "csv")(path)
 
 
 def unknown(path: Path, name: str, names: Iterable[str]) -> ConfigError:

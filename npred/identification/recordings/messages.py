@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.base.errors import ConfigError
-from npred.identification.recordings import UNITS, TimeSeries, decoding, unknown
+from npred.identification.recordings import Contents, TimeSeries, TimeSource, decoding, unknown
 
 LOG = "log"  # as `time`: the times of the log, also for messages with a stamp
 STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
@@ -56,13 +56,14 @@ class Topics(ABC):
         with self._opened() as bag:
             return list(self._names(bag))
 
-    def series(self, names: Sequence[str], time: str | None, unit: str | None) -> dict[str, TimeSeries]:
+    def contents(self, names: Sequence[str], source: TimeSource) -> Contents:
         """The fields as they are; NaN where a message lacks one. Times are from the first message of the file on.
 
-        With `time`, a field of each message, they are what this has, in that unit. The topic of a name is the longest
-        that fits.
+        With a field of each message as `source.time` they are what this has. The topic of a name is the longest that
+        fits.
         """
-        by_stamp = time in (None, LOG)
+        time, by_stamp = source.time, source.time in (None, LOG)
+        scale, unit = source.scale(self.path, "s" if by_stamp else source.time_unit)
         moment = _stamp if by_stamp else partial(_field, steps=_steps(time or ""))
         series, fields = {}, defaultdict(dict)
         with self._opened() as bag:
@@ -79,17 +80,20 @@ class Topics(ABC):
             table: dict[str, Columns] = {
                 topic: list(zip(*rows[topic], strict=True)) or [()] * (2 + len(fields[topic])) for topic in rows
             }
-            times = self._clock(bag.start, table, time == LOG) if by_stamp else {}
+            times = self._seconds(bag.start, table, time == LOG) if by_stamp else {}
             for topic, (_, moments, *columns) in table.items():
                 if not by_stamp:  # NaN where none has the field
                     numbers = _numbers(moments)
                     lost = np.full(len(moments), np.nan)
-                    times[topic] = lost if numbers is None else numbers * UNITS[unit or "s"]
+                    times[topic] = lost if numbers is None else numbers
                 for name, column in zip(fields[topic], columns, strict=True):
                     if (values := _numbers(column)) is None:
                         raise unknown(self.path, name, self._names(bag))
-                    series[name] = TimeSeries(times[topic], values)
-        return series
+                    series[name] = TimeSeries(scale * times[topic], values, np.arange(1, len(values) + 1))
+        stamps = "the log" if time == LOG else "the stamps of the messages, else of the log"
+        how = stamps if by_stamp else f"the field {time}{unit}"
+        count = sum(len(each) for each in rows.values())
+        return Contents(series, [f"{self.path.name}: {count} messages; times from {how}, in {source.unit}."])
 
     @contextmanager
     def _opened(self) -> Iterator[Bag]:
@@ -102,7 +106,7 @@ class Topics(ABC):
                 for _, _, message in islice(bag.messages([topic]), 1):
                     yield from _named(message, topic)
 
-    def _clock(self, start: int, table: Mapping[str, Columns], logged: bool) -> dict[str, np.ndarray]:
+    def _seconds(self, start: int, table: Mapping[str, Columns], logged: bool) -> dict[str, np.ndarray]:
         """The times of each topic by one clock, in seconds. Raises ConfigError where there are two."""
         ns = {topic: np.array(columns[:2], dtype=np.int64) for topic, columns in table.items()}
         stamped = [topic for topic, (_, stamps) in ns.items() if stamps.all() and stamps.size and not logged]

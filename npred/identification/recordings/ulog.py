@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 
+import numpy as np
 from pyulog import ULog
 
-from npred.identification.recordings import UNITS, TimeSeries, decoding, unknown
-
-MICROSECONDS = 1e-6
+from npred.identification.recordings import Contents, TimeSeries, TimeSource, decoding, unknown
 
 
 class Ulog:
@@ -26,16 +25,18 @@ class Ulog:
         """Topic and field of every number."""
         return [f"{topic}.{field}" for topic, fields in self.topics.items() for field in fields]
 
-    def series(self, names: Sequence[str], time: str | None, unit: str | None) -> dict[str, TimeSeries]:
-        """The fields as they are. With `time`, a field of each message, this field gives the times, in that unit."""
-        series = {}
+    def contents(self, names: Sequence[str], source: TimeSource) -> Contents:
+        """The fields as they are. With `source.time`, a field of each message, this field gives the times."""
+        series, time, count = {}, source.time or "timestamp", 0
+        scale, unit = source.scale(self.path, source.time_unit if source.time else "us")
         for name in names:
             topic, _, field = name.partition(".")
             fields = self.topics.get(topic, {})
-            for each in (field, time or "timestamp"):
+            for each in (field, time):
                 if each not in fields:
                     raise unknown(self.path, f"{topic}.{each}", self.columns())
-            stamps = fields[time or "timestamp"].astype(float)  # exact: below 2^53 microseconds
-            t = stamps * UNITS[unit or "s"] if time else (stamps - self.start) * MICROSECONDS
-            series[name] = TimeSeries(t, fields[field].astype(float))
-        return series
+            stamps = fields[time].astype(float)  # exact: below 2^53 microseconds
+            t = scale * (stamps if source.time else stamps - self.start)
+            series[name] = TimeSeries(t, fields[field].astype(float), np.arange(1, len(t) + 1))
+            count = max(count, len(t))
+        return Contents(series, [f"{self.path.name}: {count} messages; times from {time}{unit}, in {source.unit}."])

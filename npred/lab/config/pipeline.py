@@ -115,6 +115,7 @@ class _Tables(Section):
     parameters: dict[str, float] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
     kappa: Kappa | dict[str, Any] | Literal[""] = ""
+    delays: list[Positive] | None = None  #: the delay of each input, if they differ; by default the plant's
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()
@@ -146,6 +147,11 @@ class _Tables(Section):
     def optional(self, stage: str) -> Any:
         """The table of an optional stage, or its defaults where the pipeline has none."""
         return getattr(self, stage) or registry.declared_stage(stage).table()
+
+    @property
+    def of_plant(self) -> tuple[Any, ...]:
+        """The arguments of npred.plants.resolve."""
+        return self.plant, self.parameters, self.kappa, self.delays
 
     @property
     def longest_delay(self) -> float:

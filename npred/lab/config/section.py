@@ -87,6 +87,6 @@ def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
     if isinstance(value, dict):
         return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
-        return [map_paths(item, locate) for item in value]
+        return [map_paths(item, locate, key) for item in value]
     is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
     return locate(value) if is_path else value

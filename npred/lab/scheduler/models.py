@@ -108,7 +108,7 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | None 
             raise ConfigError(unlisted(f"{spec}: after the colon", name, names))
         expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
         artifact = _last(pipeline, store, "train", name, expected, todo)
-        plant, table = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa), pipeline.train.table(name)
+        plant, table = plants.resolve(*pipeline.of_plant), pipeline.train.table(name)
     else:
         artifact, plant, table = store.find(name), None, None
     manifest, epoch = artifact.verify().manifest, asked.epoch

@@ -214,7 +214,7 @@ class Planner(Resolver):
         """The plant of the pipeline, one object for all its stages: they share its compiled code."""
         from npred import plants  # brings NumPy, which `npred --help` has no use for
 
-        return plants.resolve(self.config.plant, self.config.parameters, self.config.kappa)
+        return plants.resolve(*self.config.of_plant)
 
     def with_absolute_paths(self) -> Self:
         return replace(self, config=self.config.with_absolute_paths(), store=Store(self.store.root.absolute()))

@@ -97,19 +97,7 @@ class Predictor(InNotebook, ABC):
 
     @abstractmethod
     def predict(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray | float) -> np.ndarray:
-        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ().
-
-        Parameters
-        ----------
-        X : array (..., n), in the plant's units
-            States.
-        u : array (..., nx, m), in the plant's units
-            Inputs under way on the nodes of [0, 1]; (nx,) for one sample of one input.
-        D_hat : array (...), in the plant's unit of time
-            Estimate of the delay; None for a plant that declares it.
-        t : array (...), in the plant's unit of time
-            Times.
-        """
+        """P (B, nx, n) of X (B, n), u (B, nx, m), D_hat (B,), t (B,) or ()."""
 
     def lanes(self) -> Callable[..., None]:
         """The same map on the loop's memory, lanes innermost: problem.PREDICT of npred.prediction.delays."""

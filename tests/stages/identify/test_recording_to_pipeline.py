@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -12,9 +14,11 @@ from typer.testing import CliRunner, Result
 import npred
 from npred.base.errors import ConfigError
 from npred.cli import app
+from npred.identification.identify import of_log
 from npred.lab import config
+from npred.lab.stages.identify import identify as stage
 
-LOG = Path(__file__).parents[3] / "docs" / "recordings" / "tank_log.csv"
+LOG = Path(__file__).parent / "tank_log.csv"
 PLANT = """
 class Tank:
     states, inputs = ("h",), ("q",)
@@ -60,7 +64,7 @@ def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder
     assert pipeline.evaluate.bounds == pytest.approx(answer["interval"][0], rel=1e-5)
     assert pipeline.parameters == pytest.approx(answer["parameters"])
     page = (folder / "log.html").read_text()
-    assert answer["sentences"][0] in page and page.count("<svg") >= 6
+    assert answer["sentences"][1] in page and page.count("<svg") >= 6
 
 
 def test_a_second_call_takes_the_answer_from_the_store_and_another_recording_does_not(folder: Path):
@@ -84,6 +88,8 @@ def test_a_pipeline_may_name_the_recording(folder: Path):
     answer = json.loads(call("tank.toml", "-o", "found.toml", "--json").stdout)
     assert set(answer["parameters"]) == {"area"} and len(answer["windows"]["t"]) == len(answer["windows"]["D"]) > 1
     assert answer["files"] == ["found.html", "found.toml"]
+    page = (folder / "found.html").read_text()
+    assert "The delay of q by window (s)" in page and "a first-order lag in its place" in page
 
 
 def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
@@ -91,8 +97,54 @@ def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
     rows = [lines[0], *(f"{row.split(',')[0]},{row.split(',')[1] and '0.5'},{row.split(',')[2]}" for row in lines[1:])]
     (folder / "still.csv").write_text("\n".join(rows) + "\n")
     done = call("still.csv", *FLAGS)
-    assert done.exit_code == 0 and "q never changes" in done.stdout and "no pipeline was written" in done.stdout
+    assert done.exit_code == 3 and "q never changes" in done.stdout and (folder / "still.html").exists()
+    last = done.output.splitlines()[-1]
+    assert "no pipeline was written" in last and "--accept takes the range that is left, 0 to " in last
     assert not (folder / "still.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"refused": True}, "the recording contradicts the model"),
+        (
+            {"identifiable": np.array([False]), "interval": np.array([[0.0, np.inf]])},
+            "the recording leaves no bounded range of the delay; give --longest",
+        ),
+    ],
+)
+def test_some_recordings_give_no_pipeline_even_with_accept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], words: str
+):
+    monkeypatch.setattr(stage, "of_log", lambda *of: replace(of_log(*of), **change))
+    done = call("log.csv", *FLAGS, "--accept")
+    assert done.exit_code == 3 and words in done.output.splitlines()[-1], done.output
+    assert (folder / "log.html").exists() and not (folder / "log.toml").exists()
+
+
+def test_a_range_is_accepted_and_the_estimate_searches_it(folder: Path):
+    done = call("log.csv", *FLAGS, "--longest", "0.4", "--accept")  # shorter than the delay
+    assert done.exit_code == 0 and "was accepted as a range" in done.stdout, done.output
+    loop = config.load(folder / "log.toml").evaluate
+    low, high = loop.bounds
+    assert low < loop.D_hat0 < loop.D < high == pytest.approx(0.4) and loop.adaptation == "delay-observer"
+
+
+def test_several_recordings_are_one_question(folder: Path):
+    shutil.copy(LOG, folder / "more.csv")
+    answer = json.loads(call("log.csv", "more.csv", *FLAGS, "--hold", "linear", "--json").stdout)
+    assert answer["files"] == ["log.html", "log.toml"]
+    assert "log.csv, more.csv" in (folder / "log.html").read_text()
+    assert (folder / "log.toml").read_text().startswith("# made by npred identify log.csv more.csv")
+    (folder / "more.csv").write_text((folder / "more.csv").read_text().replace("0.98848", "0.98849"))
+    assert call("log.csv", "more.csv", *FLAGS, "--hold", "linear").exit_code == 0
+    assert len(list((folder / "artifacts" / "identify").iterdir())) == 2
+
+
+def test_the_pipeline_beside_a_plant_in_another_folder_finds_it(folder: Path):
+    (folder / "out").mkdir()
+    assert call("log.csv", *FLAGS, "-o", "out/tank.toml").exit_code == 0
+    assert npred.plants.resolve(*config.load("out/tank.toml").of_plant).name == "Tank"
 
 
 def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_no_V(folder: Path):
@@ -123,6 +175,9 @@ def test_a_file_of_somebody_else_is_left_alone(folder: Path):
     [
         (("log.csv",), "--plant: expected the plant of log.csv, got none"),
         ((), "expected a recording, got none"),
+        (("log.csv", "log.toml", *FLAGS), "expected recordings, or one pipeline, got log.csv, log.toml"),
+        (("log.csv", *FLAGS, "--hold", "cubic"), "identify.hold: Input should be 'zero' or 'linear', got 'cubic'"),
+        (("log.csv", *FLAGS, "--period", "0"), "identify.period"),
         (("other.csv", *FLAGS), "expected a file at other.csv"),
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q2", "--state", "h=level"), "got 'Q2'"),
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q1"), "expected a column for one of h"),

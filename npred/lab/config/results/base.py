@@ -170,13 +170,16 @@ class IdentifiedResult(Result):
     plant: str  #: its name
     inputs: list[str]  #: its inputs, in the order of D
     D: list[float]  #: the delay of each input
-    interval: list[tuple[float, float]]  #: 95 % interval of each delay
+    interval: list[tuple[Number, Number]]  #: 95 % interval of each delay
     identifiable: list[bool]  #: whether the recording determines the delay
     parameters: dict[str, float]  #: the estimated ones
     parameter_intervals: dict[str, tuple[Number, Number]]  #: 95 % interval of each parameter
-    #: rms error of predictions on the last quarter: `model`, `no_delay`, `first_order_lag`
+    #: rms error of predictions on the last quarter: `model`, and the rivals `no_delay`, `first_order_lag`,
+    #: `lag_and_delay`, `static`
     held_back: dict[str, Number]
     sentences: list[str]  #: the result in words
+    refused: bool  #: whether a rival, or the plant as it was given, contradicts the model
+    ranges: dict[str, tuple[float, float]]  #: lowest and highest sample of each output that was measured
     samples: int  #: number of output samples
     period: float  #: the median time between two samples
     windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = None  #: t, D, interval

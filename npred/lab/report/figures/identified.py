@@ -35,7 +35,7 @@ def figures(plant: Plant, drawn: dict[str, Any]) -> Iterator[Figure]:
         low, high = drawn["interval"][j]
 
         def costs(axis: Axes, D: Any = D, rise: Any = rise, low: float = low, high: float = high) -> None:
-            axis.axvspan(low, high, color=FILL, zorder=0)
+            axis.axvspan(low, high if np.isfinite(high) else D.max(), color=FILL, zorder=0)
             axis.axhline(level, **DOTTED.line)
             axis.plot(D, rise, **POINTS.line)
             axis.set_xlabel(timed(plant, "delay"))

@@ -43,7 +43,7 @@ def surroundings(pipeline: Pipeline, plant: Plant) -> dict[str, Any]:
 
 def elsewhere(pipeline: Pipeline, expected: dict[str, Any], batch: range) -> Columns:
     """The rows of a batch in another process. Raises ConfigError where plant or packages are not as expected."""
-    plant = plants.resolve(pipeline.plant, pipeline.parameters, pipeline.kappa)
+    plant = plants.resolve(*pipeline.of_plant)
     actual = surroundings(pipeline, plant)
     other = ", ".join(name for name in expected if actual[name] != expected[name])
     if other:

@@ -1,13 +1,12 @@
 """The delay and the parameters of a plant by a recording of it, and their limits."""
 
-from pathlib import Path
 from typing import Any
 
 from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
-    version=1,
+    version=2,
     upstream=(),
     result_class="npred.lab.config.results:IdentifiedResult",
     table_class="npred.lab.stages.identify.table:Identify",
@@ -15,10 +14,9 @@ STAGE = Stage(
 
 
 def key(slices: Slices) -> dict[str, Any]:
-    """The table; the recording enters by its content, and the measured outputs by their formulas."""
+    """The table; the recordings enter by their content, and the measured outputs by their formulas."""
     from npred.lab.scheduler.configuration import content, table
 
     section = table(slices.config.optional("identify"))
-    if section["data"]:
-        section["data"] = content("identify.data", Path(section["data"]))
+    section["data"] = [content("identify.data", path) for path in slices.config.optional("identify").files]
     return {"identify": section, "outputs": list(slices.plant.outputs)} | slices.output

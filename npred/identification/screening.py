@@ -1,0 +1,108 @@
+"""What is wrong with a recording before it is used: its clock, single bad samples, sensors that stick.
+
+A sample that is left out is named by its row in the file.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from npred.identification.log import Log, restarts
+from npred.identification.recordings import TimeSeries
+
+GAP = 20  # periods without a sample, which end a segment
+COARSE = 0.3  # share of rows with the stamp of the row before: the clock is coarse
+WINDOW = 5  # samples, by whose median each is judged
+FAR = 20.0  # sizes of the noise, and more than the spread of the log, that a bad sample is off
+RARE = 0.02  # share of the samples that may be bad
+OUTSIDE = 8.0  # sizes of the residuals of a fit that a bad sample is off
+STUCK = 15  # equal samples of a sensor that sticks
+ALIVE = 0.05  # share of equal neighbours in a log with noise
+NAMED = 5  # rows in a sentence
+
+
+def spaced(series: TimeSeries) -> TimeSeries:
+    """The series with rows of one coarse stamp spread evenly up to the next one; else as it is."""
+    t = series.t
+    begins = np.flatnonzero(np.append(True, np.diff(t) != 0))
+    if len(t) - len(begins) <= COARSE * len(t) or len(begins) < 2:
+        return series
+    counts = np.diff(np.append(begins, len(t)))
+    spans = np.append(np.diff(t[begins]), np.median(np.diff(t[begins])))
+    place = np.arange(len(t)) - np.repeat(begins, counts)
+    return TimeSeries(t + place * np.repeat(spans / counts, counts), series.values, series.rows)
+
+
+def of_clock(series: Sequence[TimeSeries], unit: str) -> list[str]:
+    """Sentences about the clock of the longest series: coarse, begun anew, doubled, without samples."""
+    t, _, rows = max(series, key=lambda each: len(each.t))
+    same, notes, run = np.diff(t) == 0, [], restarts(t)
+    if same.sum() > COARSE * len(t):
+        notes.append(f"The stamps are coarse: {same.mean():.0%} of the rows have that of the row before. "
+                     "Rows between two stamps are spread evenly.")  # fmt: skip
+    elif same.any():
+        first = rows[np.argmax(same) + 1]
+        which = f"Row {first} has" if same.sum() == 1 else f"{same.sum()} rows, as row {first}, have"
+        notes.append(f"{which} the stamp of the row before: the later one counts.")
+    if run[-1]:
+        begins = _listed(rows[np.flatnonzero(np.diff(run)) + 1])
+        notes.append(f"The clock begins anew at {begins}: each part is taken as a recording.")
+    step = np.where(np.diff(run) > 0, 0.0, np.diff(t))
+    gaps = np.flatnonzero(step > GAP * np.median(step[step > 0])) if (step > 0).any() else np.zeros(0, dtype=int)
+    if len(gaps):
+        longest = gaps[step[gaps].argmax()]
+        more = "" if len(gaps) == 1 else f", and {len(gaps) - 1} shorter times"
+        notes.append(f"There is no sample for {step[longest]:.4g} {unit} after row {rows[longest]}{more}: "
+                     "the last command is taken as held.")  # fmt: skip
+    return notes
+
+
+def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
+    """The log without bad samples and stuck stretches, and sentences about these."""
+    Y, notes = log.Y.copy(), []
+    for column, name in zip(Y.T, outputs, strict=True):
+        places = np.flatnonzero(np.isfinite(column))
+        if len(places) < 4 * WINDOW:
+            continue
+        y = column[places]
+        off = np.abs(y - np.median(np.lib.stride_tricks.sliding_window_view(np.pad(y, WINDOW // 2, "edge"), WINDOW), 1))
+        wide = np.subtract(*np.quantile(y, [0.99, 0.01]))
+        bad = off > max(FAR * 1.4826 * np.median(off), wide)
+        if wide > 0 and 0 < bad.sum() <= max(RARE * len(y), 1):
+            notes.append(left_out(name, log.rows[places[bad]], y[bad]))
+            column[places[bad]] = np.nan
+        begins = np.flatnonzero(np.append(True, np.diff(y) != 0))
+        counts = np.diff(np.append(begins, len(y)))
+        stuck = counts >= STUCK
+        moving = len(y) - counts[stuck].sum()
+        if stuck.any() and moving > len(y) / 4 and (counts[~stuck] - 1).sum() < ALIVE * moving:
+            for begin, count in zip(begins[stuck], counts[stuck], strict=True):
+                value = y[begin]
+                end = ", its least value" if value == y.min() else ", its largest value" if value == y.max() else ""
+                first, last = log.rows[places[[begin, begin + count - 1]]]
+                notes.append(f"{name} stays at {value:.4g}{end} from row {first} to row {last}: these are left out.")
+                column[places[begin + 1 : begin + count]] = np.nan
+    return replace(log, Y=Y).some(np.flatnonzero(np.isfinite(Y).any(axis=1))), notes
+
+
+def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """(..., q) True for single samples that a fit misses by far, where they are rare."""
+    finite = np.isfinite(residuals) & np.isfinite(Y)
+    if not finite.any():
+        return finite
+    size = 1.4826 * np.nanmedian(np.where(finite, np.abs(residuals), np.nan), axis=(0, 1))
+    bad = finite & (np.abs(residuals) > OUTSIDE * size)
+    return bad if bad.sum() <= RARE * finite.sum() / 2 else np.zeros_like(bad)
+
+
+def left_out(name: str, rows: np.ndarray, values: Sequence[float] | np.ndarray = ()) -> str:
+    """The sentence about bad samples of an output."""
+    one, shown = len(rows) == 1, ", ".join(f"{value:.4g}" for value in values[:NAMED])
+    bad = f"{name} has {'a bad sample' if one else f'{len(rows)} bad samples'} at {_listed(rows)}"
+    return f"{bad}{f' ({shown})' if shown else ''}; {'it is' if one else 'they are'} left out."
+
+
+def _listed(rows: np.ndarray) -> str:
+    more = f" and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
+    return f"row{'s' * (len(rows) > 1)} {', '.join(map(str, rows[:NAMED]))}{more}"
