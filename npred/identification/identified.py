@@ -82,6 +82,7 @@ class Findings:
     high: np.ndarray  # (m,) the longest delays that were tried
     period: float
     alternatives: list[Alternative]
+    lagged: np.ndarray  # (m,) a lag behind a delay that is far shorter fits about as well
     still: np.ndarray  # (m,) inputs that never change
     alike: list[tuple[int, int]]  # inputs that move together
     recurring: np.ndarray  # (m,) after which time an input repeats itself, infinite where it does not
@@ -115,7 +116,7 @@ class Findings:
         recurring = self.recurring < self.high
         lag = np.array([a.as_good and not a.short for a in self.alternatives])
         everywhere = self._off or self.silent or self.several
-        return ~(wide | ends | early | alike | recurring | self.still | lag | everywhere)
+        return ~(wide | ends | early | alike | recurring | self.still | lag | self.lagged | everywhere)
 
     @property
     def _off(self) -> bool:
@@ -224,6 +225,8 @@ class Findings:
                 f"{unknown} the log {what} of {span}, the longest that was tried. "
                 f"Record larger steps of {name}, or try longer delays."
             ]
+        if self.lagged[j]:
+            return [f"{unknown} a shorter delay with a lag behind it fits about as well: {span}. Record sharper steps."]
         if not self.identifiable[j]:
             return [f"{unknown} any delay of {span} fits. Record larger steps of {name}."]
         periods = f"{self.D[j] / self.period:.2f} sampling periods"

@@ -235,9 +235,11 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
         period, (low_end, high_end) = recurring[j], interval[j]
         interval[j] = low_end - period * (low_end // period), high_end + period * ((high[j] - high_end) // period)
     early = np.where(delays.interval[:, 1] < 0, delays.values, 0.0)
+    lagged = np.array([o.least < min(0.5 * e[0], e[0] - np.ptp(e)) for o, e in zip(others, interval, strict=True)])
     asked, assumed, combination = parameters(plant, delays, settings.seed)
     findings = Findings(
-        plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, np.ptp(log.U, axis=0) == 0,
+        plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, lagged,
+        np.ptp(log.U, axis=0) == 0,
         excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, delays.accurate,
         delays.several, excitation.followed(log), alternatives.held_back(delays, high),
     )  # fmt: skip

@@ -64,7 +64,8 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
     found = {
         "plant": decay(), "D": np.array([0.3]), "early": np.zeros(1), "interval": np.array([interval]),
         "high": np.full(1, HIGH), "period": 0.05, "alternatives": [Alternative(0.2, as_good, False, 0.0, behind)],
-        "still": np.zeros(1, dtype=bool), "alike": [], "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
+        "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
+        "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
         "combination": None, "inflation": 1.0, "accurate": True, "several": False, "closed": 0.0,
         "validation": Validation({}, None),
     }  # fmt: skip
@@ -83,6 +84,7 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         ({"alike": [(0, 0)]}, False),
         ({"recurring": np.full(1, 1.0)}, False),
         ({"several": True}, False),
+        ({"lagged": np.ones(1, dtype=bool)}, False),
         ({"accurate": False}, False),
         ({"closed": 0.98}, False),
         ({"validation": Validation({"model": 1.0, "static": 0.5}, "static")}, False),
