@@ -157,9 +157,8 @@ def test_identify_reads_the_log_and_finds_the_delay(start, tmp_path):
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     command = [sys.executable, "-m", "npred", "identify", "log.csv", "--plant", "scalar", "--json"]
-    answer = subprocess.run(
-        command, cwd=tmp_path, env=process_environment(), capture_output=True, text=True, check=True
-    )
+    answer = subprocess.run(command, cwd=tmp_path, env=process_environment(), capture_output=True, text=True)
+    assert answer.returncode in (0, 3), answer.stderr  # 3: a loop without a test signal does not tell its delay
     low, high = json.loads(answer.stdout)["interval"][0]
     assert low - 0.02 <= json.loads(out)["delay"] <= high + 0.02  # a control step beside the 95 %
 
