@@ -33,6 +33,11 @@ class Alternative:
     least: float  # the shortest delay with a lag behind it that is not clearly worse than the delay alone
     behind: tuple[float, float] | None  # a delay and a lag that are clearly better than the delay alone
 
+    @property
+    def explains(self) -> bool:
+        """True if a lag that counts may stand in place of the delay."""
+        return self.as_good and not self.short
+
 
 class Validation(NamedTuple):
     """The rms errors of the model and its rivals on the held-back part, and the rival that is clearly better."""
@@ -75,7 +80,7 @@ def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
     fit, third = candidate.fit, _third(segments)
     head = segments.Y.copy()
     head[:, third:] = np.nan
-    theta = fit.thetas(np.ones((1, len(fit.e))))[0]
+    theta = fit.best_theta
     fixed = Prior(theta, np.ones(len(theta)), np.stack([theta, theta]))
     problem = replace(candidate.problem, segments=replace(segments, Y=head), prior=fixed)
     start = problem.fit(fit.delays, None, 4, candidate.lags)
@@ -112,21 +117,15 @@ def _squares(r: np.ndarray) -> np.ndarray:
 
 def recurs(delays: Delays, periods: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """(m,) True where the delay of an input may as well be one of its `periods` (m,) longer or shorter: the cost there
-    is not of another order.
+    is not of another order. `delays` are of as many samples as decide.
     """
-    few, period = delays.problem.some(DECIDING), delays.problem.segments.log.period
-    best, recurring = few.fit(delays.values, replace(delays.fit, X=few.start()[0]), 4), np.zeros(len(low), dtype=bool)
-
-    def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
-        return few.fit(z, start, 2)
-
+    few, best, recurring = delays.problem, delays.fit, np.zeros(len(low), dtype=bool)
     for j in np.flatnonzero(periods < high):
         for side in (-1.0, 1.0):
             place = delays.values.copy()
             place[j] += side * periods[j]
             if low[j] <= place[j] <= high[j]:
-                ends = np.maximum(place - 2 * period, low), np.minimum(place + 2 * period, high)
-                _, other, _ = search.descend(at, at(place, best), place, *ends, period, period / 8)
+                _, other = search.nearby(few.at, few.at(place, best), low, high, few.segments.log.period, 8)
                 recurring[j] |= other.cost < ORDER * best.cost
     return recurring
 
@@ -178,12 +177,9 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
         return Validation({}, None)
     train, later = (replace(problem, segments=segments.some(part)).some(DECIDING) for part in (early, ~early))
 
-    def at(z: np.ndarray, fit: SegmentFit | None) -> SegmentFit:
-        return train.fit(z, fit, 2)
-
     step, least = float(delays.widths.max()), 0.2 * float(delays.widths.min())
-    first = at(delays.values, None)
-    z, fit, _ = search.descend(at, first, delays.values, np.zeros(len(high)), high, step, least)
+    first = train.at(delays.values, None)
+    z, fit, _ = search.descend(train.at, first, delays.values, np.zeros(len(high)), high, step, least)
     inputs, none = list(range(len(z))), train.fit(np.zeros(len(z)), None, 4)
     for start in (first, none):  # a search that was lost is no model
         restarted = train.fit(delays.values, start, 6)

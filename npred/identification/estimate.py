@@ -78,29 +78,22 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
     problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
     problem, z, fit, widths, accurate = _minimum(problem, few, fit, low, high)
-    for _ in range(RECENTRED):
+    for left in reversed(range(RECENTRED)):
         problem = problem.rescaled(fit)
         fit = problem.fit(z, fit)
         scale = np.sqrt(max(fit.cost / max(fit.count, 1), 1e-12))
         inflation = correlation_time(fit.residuals)
         if inflation > MISSING:  # what is missing decides, not the number of samples
             problem = problem.some(SEARCHED)
-            fit = problem.fit(z, replace(fit, X=problem.start()[0]))
+            fit = problem.fit(z, problem.begun(fit))
         levels = levels_of(fit, inflation, problem)
-        far = max(search.FAR, float(levels.max()) + search.FAR, 4 * LEVEL * inflation)
-        profiles = [search.profile(_at(problem), fit, z, j, low, high, widths * scale, far) for j in range(len(z))]
+        far = max(float(levels.max()) + search.FAR, 4 * LEVEL * inflation)
+        profiles = [search.profile(problem.at, fit, z, j, low, high, widths * scale, far) for j in range(len(z))]
         best = min((each for p in profiles for each in p.fits), key=lambda each: each.cost)
-        if not best.cost < fit.cost - 0.1 * LEVEL:
+        if not left or not best.cost < fit.cost - 0.1 * LEVEL:  # the profiles are those of the fit
             break
-        z, fit, widths = search.descend(
-            _at(problem),
-            problem.fit(best.delays, best, 6),
-            best.delays,
-            low,
-            high,
-            float(widths.max()),
-            FINEST * period,
-        )
+        z, fit, step = best.delays, problem.fit(best.delays, best, 6), float(widths.max())
+        z, fit, widths = search.descend(problem.at, fit, z, low, high, step, FINEST * period)
     ends = np.empty((len(z), 2))
     for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
         by_cost = search.interval(p.values, p.costs - p.costs.min(), levels[j])
@@ -133,15 +126,15 @@ def _minimum(
     z, period = fit.delays, problem.segments.log.period
     step = period
     while True:
-        z, fit, widths = search.descend(_at(few), fit, z, low, high, step, FINEST * period)
+        z, fit, widths = search.descend(few.at, fit, z, low, high, step, FINEST * period)
         finer = few.refined(fit)
         if finer.model.steps == few.model.steps or finer.model.steps > STEPS:
             break
         problem, few = replace(problem, model=finer.model), finer
         fit, step = few.fit(z, fit, 6), max(float(widths.max()), period / 4)
     if len(few.segments) < len(problem.segments):
-        fit = problem.fit(z, replace(fit, X=problem.start()[0]))
-        z, fit, widths = search.descend(_at(problem), fit, z, low, high, float(widths.max()), FINEST * period)
+        fit = problem.fit(z, problem.begun(fit))
+        z, fit, widths = search.descend(problem.at, fit, z, low, high, float(widths.max()), FINEST * period)
     return problem, z, fit, widths, finer.model.steps <= STEPS
 
 
@@ -175,8 +168,7 @@ def _other_minima(
     by few segments alone; and by how much.
     """
     coarse, period = problem.some(COARSE), problem.segments.log.period
-    theta = fit.thetas(np.ones((1, len(fit.e))))[0]
-    best = coarse.fit(fit.delays, replace(fit, X=coarse.start()[0], theta=theta))
+    best = coarse.fit(fit.delays, replace(coarse.begun(fit), theta=fit.best_theta))
     ends = np.array([[p.values[0], p.values[-1]] for p in profiles]).T
     inner, outer = np.minimum(ends[0], fit.delays - period), np.maximum(ends[1], fit.delays + period)
     minima = search.scan(lambda z, _: coarse.fit(z, best, 1), low, high, 2 * period)[: 2 * PLACES]
@@ -184,19 +176,13 @@ def _other_minima(
     places += [fit.delays[list(order)] for order in permutations(range(len(low)))][1:]
     others = []
     for place in places:
-        near = np.maximum(place - 2 * period, low), np.minimum(place + 2 * period, high)
-        z, other, _ = search.descend(_at(coarse), coarse.fit(place, best, 4), place, *near, period, period / 16)
+        z, other = search.nearby(coarse.at, coarse.fit(place, best, 4), low, high, period, 16)
         if ((inner <= z) & (z <= outer)).all():
             continue
         wrong = inflation > MISSING and other.cost < RIVAL * best.cost
         if wrong or not better(best, other, inflation, APART):
             others.append((z, 0.0 if wrong else other.cost - best.cost))
     return others
-
-
-def _at(problem: Problem) -> search.At:
-    """The fit of a problem with given delays, from another one."""
-    return lambda z, start: problem.fit(z, start, 2)
 
 
 def _tethered(problem: Problem) -> Problem:
@@ -270,8 +256,7 @@ def parameters(
     drawing the segments anew, and, where it is wide, that of the profile over the other parameters and the delay.
     """
     problem, names = delays.problem, [*plant.parameters, *(f"offset of {name}" for name in plant.inputs)]
-    prior, all_segments = problem.prior, np.ones((1, len(delays.fit.e)))
-    theta = delays.fit.thetas(all_segments)[0]
+    prior, theta = problem.prior, delays.fit.best_theta
     if not len(theta):
         return {}, {}, None
     rng, low, high = randomness.generator(seed, "parameters"), theta.copy(), theta.copy()
@@ -283,7 +268,7 @@ def parameters(
         rises = profile.costs - profile.costs.min()
         level = float(delays.levels[j])
         near = np.flatnonzero(rises < max(level, 4 * LEVEL * delays.inflation))
-        thetas = np.array([profile.fits[k].thetas(all_segments)[0] for k in near])
+        thetas = np.array([profile.fits[k].best_theta for k in near])
         for at, rise, fit in zip(thetas, rises[near], (profile.fits[k] for k in near), strict=True):
             if rise < level:
                 variance = np.diag(_covariance(fit.H.sum(axis=0) + np.diag(prior.weight)))
@@ -326,7 +311,7 @@ def _profiled(delays: Delays, theta: np.ndarray, k: int, size: float) -> tuple[f
     Infinite where the cost does not rise as the parameter grows a hundredfold.
     """
     few, limits = delays.problem.some(COARSE), delays.problem.prior.limits[:, k]
-    first = few.fit(delays.values, replace(delays.fit, X=few.start()[0]), 4)
+    first = few.fit(delays.values, few.begun(delays.fit), 4)
     reach = [(p.values[0], p.values[-1]) for p in delays.profiles]
     low, high = np.array(reach).T
     step_D, ends = float(np.ptp(delays.interval, axis=1).max()) / 4 + 1e-9 * few.segments.log.period, []
@@ -334,9 +319,9 @@ def _profiled(delays: Delays, theta: np.ndarray, k: int, size: float) -> tuple[f
         step, value, root, fit = min(size, 0.5 * abs(theta[k]) + 1e-9), float(theta[k]), 0.0, first
         while True:
             beyond = value + side * step
-            pinned, there = few.at(k, clipped := float(np.clip(beyond, *limits))), fit
+            pinned, there = few.pinned(k, clipped := float(np.clip(beyond, *limits))), fit
             there = pinned.fit(fit.delays, fit, 4)
-            there = search.descend(_at(pinned), there, fit.delays, low, high, step_D, step_D / 4)[1]
+            there = search.descend(pinned.at, there, fit.delays, low, high, step_D, step_D / 4)[1]
             rise = max(there.cost - first.cost, 0.0) / delays.inflation
             reached = np.sqrt(rise) if np.isfinite(rise) else np.inf
             if reached >= np.sqrt(LEVEL):

@@ -60,6 +60,11 @@ class SegmentFit:
         """The least cost of the parabolas."""
         return float(self.costs(np.ones((1, len(self.e))))[0])
 
+    @cached_property
+    def best_theta(self) -> np.ndarray:
+        """Theta (q,) where that is."""
+        return self.thetas(np.ones((1, len(self.e))))[0]
+
     @property
     def count(self) -> int:
         """Residuals less the fit to them."""
@@ -111,7 +116,7 @@ class Problem:
         size = np.sqrt(mean_square(r) * share)
         return replace(self, scale=self.scale * np.where(size > 0, size, 1.0))
 
-    def at(self, place: int, value: float) -> "Problem":
+    def pinned(self, place: int, value: float) -> "Problem":
         """The same with one of theta at this value."""
         mean, deviation = self.prior.mean.copy(), self.prior.deviation.copy()
         mean[place], deviation[place] = value, FIXED * max(abs(value), 1e-9)
@@ -138,6 +143,14 @@ class Problem:
         with np.errstate(all="ignore"):
             size = np.log(mean_square(fit.residuals * self.scale) + 1e-300).mean() / 2
         return np.inf if lost else float(size)
+
+    def begun(self, fit: SegmentFit) -> SegmentFit:
+        """A fit of other segments as a beginning for these: its theta, and the states as they are measured."""
+        return replace(fit, X=self.start()[0])
+
+    def at(self, delays: np.ndarray, start: SegmentFit | None) -> SegmentFit:
+        """The fit with these delays from another one nearby, for a search."""
+        return self.fit(delays, start, 2)
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Initial states as they are measured, else the plant's guess, and theta as it is thought to be."""
@@ -209,7 +222,7 @@ class Problem:
         lost = ~np.isfinite(e) | ~np.isfinite(H).all(axis=(1, 2)) | ~np.isfinite(g).all(axis=1)
         e, g, H = np.where(lost, np.inf, e), np.where(lost[:, None], 0.0, g), np.where(lost[:, None, None], 0.0, H)
         fit = SegmentFit(np.asarray(delays), X, theta, e, g, H, self.prior, residuals)
-        dtheta = fit.thetas(np.ones((1, len(X))))[0] - theta
+        dtheta = fit.best_theta - theta
         dX = np.where(lost[:, None], 0.0, solved[..., 0] - (solved[..., 1:] @ dtheta))
         return fit, (dX, dtheta)
 
@@ -223,7 +236,7 @@ def better(one: SegmentFit, other: SegmentFit, inflation: float, deviations: flo
 
     def per_segment(fit: SegmentFit) -> np.ndarray:
         """The cost of each segment at the common optimum of theta."""
-        d = fit.thetas(np.ones((1, len(fit.e))))[0] - fit.theta
+        d = fit.best_theta - fit.theta
         return fit.e - 2 * fit.g @ d + np.einsum("i,sij,j->s", d, fit.H, d)
 
     gain = np.clip((per_segment(other) - per_segment(one)) / inflation, -MOST, MOST)

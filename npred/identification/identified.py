@@ -114,7 +114,7 @@ class Findings:
         early = self.early < 0
         alike = np.isin(np.arange(len(self.D)), [j for pair in self.alike for j in pair])
         recurring = self.recurring < self.high
-        lag = np.array([a.as_good and not a.short for a in self.alternatives])
+        lag = np.array([a.explains for a in self.alternatives])
         everywhere = self._off or self.silent or self.several
         return ~(wide | ends | early | alike | recurring | self.still | lag | self.lagged | everywhere)
 
@@ -128,15 +128,8 @@ class Findings:
         """One sentence or two for each thing that is known or is not."""
         lines = self._of_model()
         for j in range(len(self.D)):
-            if (
-                not self.refused
-                or self.still[j]
-                or self.closed > CLOSED
-                or (self.alternatives[j].as_good and not self.alternatives[j].short)
-            ):
-                lines += self._of_input(j)
-            elif self.alternatives[j].behind:
-                lines += self._of_lag(j)
+            reason = self.still[j] or self.closed > CLOSED or self.alternatives[j].explains
+            lines += self._of_input(j) if reason or not self.refused else self._of_lag(j)
         if not self.silent:
             lines += [line for name in self.parameters for line in self._of_parameter(name)]
             lines += self._of_combination()
@@ -213,7 +206,7 @@ class Findings:
                 f"{unknown} several delays of {span} fit about as well, of which {time(self.D[j], '.3g')} is the best. "
                 "Record steps at random times."
             ]
-        if other.as_good and not other.short:
+        if other.explains:
             return [
                 f"{unknown} a first-order lag of {time(other.lag, '.3g')} explains the "
                 f"log as well as a delay of {time(self.D[j], '.3g')}, or better. Any delay of {span} is possible.",

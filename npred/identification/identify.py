@@ -230,7 +230,7 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
         # an input acts after its command; if the log says before, its stamp or its samples are off by a period or so
         ends[:] = max(ends[0], 0.0), max(ends[1], other.lag if other.short else 0.0) if ends[1] >= 0 else log.period
     recurring = excitation.recurring(log, high)
-    recurring = np.where(alternatives.recurs(delays, recurring, low, high), recurring, np.inf)
+    recurring = np.where(alternatives.recurs(fewer, recurring, low, high), recurring, np.inf)
     for j in np.flatnonzero(recurring < high):  # a delay is known up to that time only
         period, (low_end, high_end) = recurring[j], interval[j]
         interval[j] = low_end - period * (low_end // period), high_end + period * ((high[j] - high_end) // period)

@@ -89,6 +89,15 @@ def descend(
     return z, fit, widths
 
 
+def nearby(
+    at: At, fit: SegmentFit, low: np.ndarray, high: np.ndarray, spacing: float, finest: float
+) -> tuple[np.ndarray, SegmentFit]:
+    """The least cost within two steps of a grid, `spacing` wide, about a fit, down to spacing / `finest`."""
+    z = fit.delays
+    ends = np.maximum(z - 2 * spacing, low), np.minimum(z + 2 * spacing, high)
+    return descend(at, fit, z, *ends, spacing, spacing / finest)[:2]
+
+
 def profile(
     at: At, fit: SegmentFit, z: np.ndarray, j: int, low: np.ndarray, high: np.ndarray, widths: np.ndarray,
     far: float = FAR,

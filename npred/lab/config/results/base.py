@@ -178,7 +178,7 @@ class IdentifiedResult(Result):
     #: `lag_and_delay`, `static`
     held_back: dict[str, Number]
     sentences: list[str]  #: the result in words
-    refused: bool  #: whether a rival, or the plant as it was given, contradicts the model
+    refused: bool  #: whether the recording contradicts the model, or is of a closed loop without a test signal
     ranges: dict[str, tuple[float, float]]  #: lowest and highest sample of each output that was measured
     samples: int  #: number of output samples
     period: float  #: the median time between two samples

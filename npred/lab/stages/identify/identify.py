@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from npred.base.errors import ConfigError
-from npred.identification.identified import Identified
+from npred.identification.identified import RIVALS, Identified
 from npred.identification.identify import Reading, Settings, of_log, recorded
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.report.figures import identified as drawings
@@ -19,10 +19,6 @@ from npred.lab.stages.report import html_page, toml_text
 PAGE = "page.html"
 LAGS = 40
 ABSURD = 1e12  # a number of this size says only that there is no limit
-RIVALS = {
-    "model": "the model", "no_delay": "without the delay", "first_order_lag": "a first-order lag in its place",
-    "lag_and_delay": "the delay, and a first-order lag", "static": "outputs that follow the inputs at once",
-}  # fmt: skip
 
 
 def run(job: Job) -> IdentifiedResult:
@@ -107,7 +103,7 @@ def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
         Column("identifiable", yes_or_no),
     ]
     rivals = [
-        Column("model", [RIVALS.get(name, name) for name in result.held_back]),
+        Column("model", [RIVALS.get(name, "the model") for name in result.held_back]),
         Column("error (rms)", _limited(result.held_back.values()), digits=3),
     ]
     tables = [
