@@ -105,7 +105,7 @@ RECORDS = [{"t": t, "u": u, "at": {"y": y}} for t, u, y in zip(T, U, [0, 0, 2, N
 )
 def test_json_as_arrays_or_records(text, value):
     path = text(value)
-    y = next(name for name in recordings.opened(path) if name.endswith("at.y").columns())
+    y = next(name for name in recordings.opened(path).columns() if name.endswith("at.y"))
     assert values(path, y) == ([0, 0.5, 1], [0, 0, 2], [1, 2, 3])
 
 

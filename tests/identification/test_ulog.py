@@ -39,8 +39,8 @@ def test_fields_of_every_instance_are_read(log):
     assert series["rates[1].xyz[1]"].values.tolist() == [0, -1, -3]
     assert series["rates.on"].values.tolist() == [0, 1, 0, 1]
     fields = ["timestamp", "timestamp_sample", "xyz[0]", "xyz[1]", "on"]
-    assert recordings.opened(log) == [
-        f"{topic}.{field}" for topic in ("rates", "rates[1]").columns() for field in fields
+    assert recordings.opened(log).columns() == [
+        f"{topic}.{field}" for topic in ("rates", "rates[1]") for field in fields
     ]
 
 
