@@ -67,7 +67,7 @@ def bodies(links: Sequence[Link]) -> list[Body]:
         chain.append(Body(
             joint=link.joint, slides=False, turn=turn, position=position, axis=np.array([0.0, 0.0, 1.0]),
             mass=link.mass, centre=twist @ link.centre + arm, inertia=twist @ link.inertia @ twist.T, damping=0.0,
-            effort=link.effort,
+            effort=link.effort, parent=len(chain) - 1,
         ))  # fmt: skip
         turn, position = twist, arm
     return chain

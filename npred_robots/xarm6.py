@@ -52,7 +52,7 @@ def bodies() -> list[Body]:
             joint=f"joint{number}", slides=False, turn=np.array([[1.0, 0, 0], [0, cos, -sin], [0, sin, cos]]),
             position=np.array(link.position), axis=np.array([0.0, 0.0, 1.0]), mass=link.mass,
             centre=np.array(link.centre), inertia=np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), damping=0.0,
-            effort=link.effort,
+            effort=link.effort, parent=len(chain) - 1,
         ))  # fmt: skip
     return chain
 

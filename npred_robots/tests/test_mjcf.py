@@ -1,5 +1,6 @@
 """An arm by MuJoCo: Pinocchio and SciPy agree on it, and what the engine cannot do is said in one line."""
 
+import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -137,7 +138,7 @@ def test_the_loop_tracks_with_the_engines_rollout_and_not_without_prediction(arm
 PAD = '<body name="three" pos="0.05 0 0.2">'
 
 
-def test_contacts_limits_and_motors_of_the_file_are_left_out(tmp_path, arm, points):
+def test_contacts_limits_and_dry_friction_of_the_file_are_left_out_and_said(tmp_path, arm, points):
     """f stays a smooth function of state and input."""
     more = (
         TEXT.replace('name="bend"', 'name="bend" range="-0.01 0.01" limited="true" frictionloss="3"')
@@ -145,26 +146,162 @@ def test_contacts_limits_and_motors_of_the_file_are_left_out(tmp_path, arm, poin
         .replace(
             '<body name="three" pos="0.05 0 0.2">', '<body name="three" pos="0.05 0 0.2"><geom size="0.2" mass="0"/>'
         )
-        .replace("</mujoco>", '<actuator><position joint="turn" kp="100"/></actuator></mujoco>')
     )
     path = tmp_path / "more.xml"
     path.write_text(more)
-    other = plants.make("more", mujoco_chain(path))
+    with pytest.warns(UserWarning, match="more.xml: contacts of 2 geoms and dry friction left out"):
+        other = plants.make("more", mujoco_chain(path))
     X, u, t = points
     np.testing.assert_allclose(other.f(X, u), arm.f(X, u), rtol=1e-12)
-    np.testing.assert_allclose(other.kappa(X, t), arm.kappa(X, t), rtol=1e-12)
+    assert abs(other.target(t)[:, 1]).max() <= 0.01  # the reference keeps the limit
+
+
+RAIL = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="slider" type="slide" axis="1 0 0"/>
+<geom type="box" size=".1 .1 .1" mass="1" contype="0" conaffinity="0"/><body><joint name="hinge" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 .3 0 .5" size=".03" mass=".2"/></body></body></worldbody>
+<actuator><motor joint="slider" ctrlrange="-3 3" gear="10"/></actuator></mujoco>"""
+
+
+def robot(folder, text, **options):
+    """The plant of a file with that text."""
+    (folder / "robot.xml").write_text(text)
+    return plants.make("robot", mujoco_chain(folder / "robot.xml", **options))
+
+
+def by_the_engine(engine, folder, q, v, sent):
+    """q'' and the actuators' forces of the file, as MuJoCo has them."""
+    model = engine.MjModel.from_xml_path(str(folder / "robot.xml"))
+    data = engine.MjData(model)
+    data.qpos, data.qvel, data.ctrl = q, v, sent
+    engine.mj_forward(model, data)
+    return data.qacc.copy(), data.qfrc_actuator.copy()
+
+
+def test_a_motor_pushes_one_joint_in_its_bounds_and_gravity_is_the_files(engine, tmp_path):
+    rail = robot(tmp_path, RAIL)
+    assert rail.inputs == ("slider_force",) and rail.input_bounds == [(-30.0, 30.0)] and not rail.declares_kappa
+    assert rail.parameters == {"gravity": 0.0}
+    q, v = np.array([0.2, 0.4]), np.array([0.3, -0.7])
+    expected, force = by_the_engine(engine, tmp_path, q, v, [2.0])
+    assert force[0] == 20.0
+    np.testing.assert_allclose(rail.f(np.hstack([q, v]), np.array([20.0]))[2:], expected, rtol=1e-12)
+
+
+def test_gravity_may_point_anywhere(engine, tmp_path):
+    text = RAIL.replace('"0 0 0"/>', '"3 0 -4"/>', 1)
+    tilted = robot(tmp_path, text)
+    expected, _ = by_the_engine(engine, tmp_path, np.zeros(2), np.zeros(2), [0.0])
+    assert tilted.parameters == {"gravity": 5.0} and np.abs(expected).max() > 1
+    np.testing.assert_allclose(tilted.f(np.zeros(4), np.zeros(1))[2:], expected, rtol=1e-12)
+
+
+def test_forcerange_and_gear_narrow_the_bounds(tmp_path):
+    text = RAIL.replace('gear="10"', 'gear="-10" forcerange="-1 2"')
+    assert robot(tmp_path, text).input_bounds == [(-20.0, 10.0)]
+
+
+@pytest.mark.parametrize(
+    ("servo", "name", "unit"),
+    [
+        ('<position joint="{}" kp="90" kv="4" gear="2" ctrlrange="-1 1"/>', "bend_target", "rad"),
+        ('<velocity joint="{}" kv="7" ctrlrange="-1 1"/>', "bend_speed", "rad/s"),
+    ],
+)
+def test_a_servo_is_sent_its_target_and_the_law_makes_up_for_its_feedback(engine, tmp_path, points, servo, name, unit):
+    servos = "".join(servo.format(joint) for joint in ("reach", "turn", "bend"))  # in another order than the joints
+    text = TEXT.replace("</mujoco>", f"<actuator>{servos}</actuator></mujoco>")
+    text = re.sub('actuatorfrcrange=".*?"', "", text)
+    arm = robot(tmp_path, text, pose=[0.1, 0.0, 0.0])
+    assert arm.inputs[1] == name and arm.units[name] == unit and arm.input_bounds == [(-1.0, 1.0)] * 3
+    X, u, t = points
+    for x, sent in zip(X, u / 5, strict=True):  # within what the engine clips to
+        expected, _ = by_the_engine(engine, tmp_path, x[:3], x[3:], sent[[2, 0, 1]])
+        np.testing.assert_allclose(arm.f(x, sent)[3:], expected, rtol=1e-9, atol=1e-9)
+    at = arm.target(t)  # where the law asks for the wave's own acceleration, whatever the damping
+    step = 1e-4
+    acceleration = (arm.target(t + step)[:, 3:] - arm.target(t - step)[:, 3:]) / (2 * step)
+    np.testing.assert_allclose(arm.f(at, arm.kappa(at, t))[:, 3:], acceleration, atol=1e-6)
+    u = arm.kappa(at, t)[:9]
+    path = Rollout(arm)(at[:9], np.repeat(u[:, None], 401, axis=1), np.full(9, 0.02))
+    exact = RK4(arm)(at[:9], np.repeat(u[:, None], 401, axis=1), np.full(9, 0.02))
+    np.testing.assert_allclose(path[:, -1], exact[:, -1], atol=2e-4)
+
+
+def test_actuated_takes_the_place_of_the_files_actuators(tmp_path):
+    text = TEXT.replace("</mujoco>", '<actuator><position joint="turn" kp="100"/></actuator></mujoco>')
+    arm = robot(tmp_path, text, actuated=["turn", "bend", "reach"])
+    assert arm.inputs == ("turn_torque", "bend_torque", "reach_force") and arm.input_bounds[0] == (-40.0, 40.0)
+
+
+FINGERS = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom size=".1" mass="1"/>
+<body pos="0 0 .2"><joint name="left" type="slide" axis="1 0 0"/><geom size=".02" mass=".1"/></body>
+<body pos="0 .1 .2"><joint name="right" type="slide" axis="1 0 0"/><geom size=".02" mass=".1"/></body></body>
+</worldbody><tendon><fixed name="split"><joint joint="left" coef="1"/><joint joint="right" coef="1"/></fixed></tendon>
+<equality><joint joint1="left" joint2="right"/></equality>
+<actuator><motor joint="arm"/><position tendon="split"/></actuator><sensor><jointpos joint="left"/></sensor>
+<keyframe><key qpos="0 0 0"/></keyframe></mujoco>"""
+
+
+@pytest.mark.filterwarnings("ignore:.*left out")
+def test_a_gripper_is_locked_with_what_ties_its_fingers(tmp_path):
+    arm = robot(tmp_path, FINGERS, lock=["left", "right"])
+    assert arm.states == ("arm", "arm_rate") and arm.inputs == ("arm_torque",)
+    inertia = 0.4 * 0.1**2 + 2 * (0.4 * 0.1 * 0.02**2 + 0.1 * 0.2**2)
+    slope = arm.f(np.zeros(2), np.ones(1))[1] - arm.f(np.zeros(2), np.zeros(1))[1]
+    assert slope == pytest.approx(1 / inertia)
+    with pytest.raises(ConfigError, match=r"'left' .*; lock all that it ties"):
+        robot(tmp_path, FINGERS, lock=["left"])
+    with pytest.raises(ConfigError, match=r"expected a joint with a motor, got none; name them: actuated=\('arm',\)"):
+        robot(tmp_path, FINGERS, lock=["left", "right"], actuated=())
+    with pytest.raises(ConfigError, match="lock: expected names of joints: arm, left, right, got 'lift'"):
+        robot(tmp_path, FINGERS, lock=["lift"])
 
 
 def test_names_units_and_bounds_come_from_the_file(arm):
     assert arm.states[:3] == ("turn", "bend", "reach") and arm.inputs == ("turn_torque", "bend_torque", "reach_force")
     assert arm.units["reach_rate"] == "m/s"
-    assert arm.input_bounds == [(-40.0, 40.0), (-20.0, 20.0), (-50.0, 50.0)]
+    assert arm.input_bounds == [(-40.0, 40.0), (-30.0, 20.0), (-50.0, 50.0)]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ('type="slide"', 'type="ball"', "joint reach: expected type hinge or slide"),
+        (
+            '<joint name="turn" axis="0 0.2 1" armature="0.1" damping="2" actuatorfrcrange="-40 40"/>',
+            "<freejoint/>",
+            r"joint joint_0: expected type hinge or slide, got free; lock=\('joint_0',\) if it is mounted",
+        ),
+        (
+            "</mujoco>",
+            '<equality><joint joint1="turn" joint2="bend"/></equality></mujoco>',
+            r"got the joint equality equality_0, which ties .*; take it out, or lock=\('turn', 'bend'\)",
+        ),
+        (
+            "</mujoco>",
+            '<tendon><fixed name="rope"><joint joint="turn" coef="1"/></fixed></tendon></mujoco>',
+            "expected rigid bodies and joints, got the tendon rope; take it out",
+        ),
+        (
+            "</mujoco>",
+            '<actuator><intvelocity name="a" joint="turn" actrange="-1 1"/></actuator></mujoco>',
+            "actuator a: expected one without a state, got another; take it out, or name the joints",
+        ),
+        (
+            "</mujoco>",
+            '<actuator><damper joint="turn" ctrlrange="0 1"/></actuator></mujoco>',
+            "actuator actuator_0: expected a constant gain, got another",
+        ),
+        (
+            "</mujoco>",
+            '<actuator><motor joint="turn"/><velocity joint="turn"/></actuator></mujoco>',
+            "joint turn: expected one actuator, got two",
+        ),
+        (
+            "</mujoco>",
+            '<actuator><motor joint="turn"/></actuator></mujoco>',
+            "joint reach: expected a motor or a spring for what slides along gravity, got neither: contacts",
+        ),
         ("<mujoco", "<robot", "expected an MJCF file, got:"),
         ('mass="2.5"', 'mass="heavy"', "expected an MJCF file, got:"),
     ],

@@ -5,9 +5,11 @@ import os
 import numpy as np
 import pytest
 from six_joint import SIX, TEXT
+from urdf_text import TWO, joint, link, write
 
 from npred.base.errors import ConfigError
 from npred_robots import urdf
+from npred_robots.chain import chain
 
 
 def test_six_joints_are_read():
@@ -45,13 +47,22 @@ def test_what_is_fixed_is_merged():
             '<parent link="tool"/>',
             "hang on base, found a ring of mount, tool",
         ),
-        ('<mass value="1.2"/>', '<mass value="0"/>', "joint reach: expected a link with a mass above 0 kg, got 0"),
+        ('<mass value="1.2"/>', '<mass value="-1"/>', "link forearm: expected a mass of at least 0 kg, got -1"),
         ('<mass value="1.2"/>', '<mass value="much"/>', "<mass>: value expected a finite number, got 'much'"),
         ('<mass value="1.2"/>', "", "inertial: expected a <mass>, found none"),
         ('ixx="0.012"', "", "<inertia>: expected an attribute ixx, found none"),
         ('xyz="0 1 0.2"', 'xyz="0 0 0"', "joint elbow-bend: expected an axis, got one of length 0"),
         ('xyz="0 1 0.2"', 'xyz="0 1"', "<axis>: xyz expected 3 numbers, got '0 1'"),
-        ('<parent link="wrist"/>', '<parent link="elbow"/>', "it branches at the joints reach, pitch"),
+        ('ixx="0.012"', 'ixx="-0.1"', r"link \w+: expected principal moments of inertia of at least 0 kg m², got -0.1"),
+        (
+            '<link name="mount"/>',
+            '<link name="tool"/>',
+            "expected different names, got two links tool; rename one link",
+        ),
+        ("</robot>", '<loop_joint name="tie"/></robot>', "expected a tree, got <loop_joint> tie, which closes a loop"),
+        ('name="reach"', 'name="roll"', "expected different names, got two joints roll; rename one joint"),
+        ('<link name="mount"/>', '<link name="mount_${side}"/>', "got xacro, a template, in <link>; run xacro"),
+        ('<link name="mount"/>', "<xacro:mount/>", "got xacro, a template; run xacro FILE > robot.urdf"),
         (
             '<link name="mount"/>',
             '<link name="mount"/><link name="spare"/>',
@@ -68,6 +79,58 @@ def test_what_is_no_chain_is_told(tmp_path, old, new, message):
     with pytest.raises(ConfigError, match=message) as caught:
         urdf.read(path)
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (XACRO, "expected URDF, got xacro, a template, in <xacro:arm>; run xacro FILE"),
+        ("<robot/>", "expected links, found none"),
+        (
+            '<robot><link name="a"/><link name="b"/>' + joint("j", "a", "b") + "</robot>",
+            "expected links with an <inertial>, got none: a drawing; write the masses",
+        ),
+    ],
+)
+def test_files_that_are_not_ready_are_told(tmp_path, text, message):
+    (tmp_path / "robot.urdf").write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        urdf.read(tmp_path / "robot.urdf")
+
+
+@pytest.mark.parametrize(
+    ("kind", "mass", "message"),
+    [
+        (
+            "revolute",
+            1.0,
+            "joint j2: expected a link b with inertia about its axis above 0, got 0; write its <inertial>",
+        ),
+        ("prismatic", 0.0, r"joint j2: expected a link b with mass above 0, got 0; .*, or lock=\('j2',\)"),
+    ],
+)
+def test_a_joint_that_moves_no_mass_is_told(tmp_path, kind, mass, message):
+    path = write(tmp_path, TWO[0], link("b", mass, 0.0, "0 0 0"), TWO[2], joint("j2", "a", "b", kind))
+    with pytest.raises(ConfigError, match=message):
+        urdf.read(path)
+    assert len(urdf.read(path, lock=["j2"])) == 1
+
+
+def test_a_link_without_mass_between_two_joints_is_no_mistake(tmp_path):
+    path = write(tmp_path, link("a", 0.0, 0.0), TWO[1], TWO[2], joint("j2", "a", "b", axis="1 0 0"))
+    assert [body.mass for body in urdf.read(path)] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(("first", "second", "name"), [("j-1", "j_1", "j_1"), ("j", "j_rate", "j_rate")])
+def test_joints_that_make_one_name_are_told(tmp_path, first, second, name):
+    path = write(tmp_path, *TWO[:2], joint(first, "base", "a"), joint(second, "a", "b"))
+    with pytest.raises(
+        ConfigError, match=f"robot.urdf: .* the joints {first} and {second} both make {name}; rename one"
+    ):
+        chain(path)
 
 
 def test_other_files_are_told(tmp_path):
