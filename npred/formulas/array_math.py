@@ -1,18 +1,19 @@
 """The mathematics M that plant functions use, on NumPy arrays and on torch tensors."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from npred.formulas import Array, Value, ldl
+from npred.formulas import Array, Value, ldl, tables
+from npred.formulas.tape import FUNCTIONS
 
 NUMPY = SimpleNamespace(
-    pi=math.pi, sin=np.sin, cos=np.cos, tan=np.tan, exp=np.exp, log=np.log, sqrt=np.sqrt, tanh=np.tanh, abs=np.abs,
-    sign=np.sign, where=np.where, maximum=np.maximum, minimum=np.minimum, solve=ldl.solve,
+    pi=math.pi, interp=tables.interp, solve=ldl.solve,
+    **{name: getattr(np, name) for name in (*FUNCTIONS, "clip", "where")},
 )  # fmt: skip
 
 
@@ -62,5 +63,17 @@ def _torch() -> SimpleNamespace:
         dtype, device = (torch.float64, None) if like is None else (like.dtype, like.device)
         return torch.as_tensor(a, dtype=dtype, device=device)
 
-    names = [name for name in vars(NUMPY) if name not in ("pi", "solve")]
-    return SimpleNamespace(pi=math.pi, solve=ldl.solve, **{name: on(getattr(torch, name)) for name in names})
+    def interp(
+        x: Value, xp: Sequence[float], fp: Sequence[float], kind: str = "linear", derivative: int = 0
+    ) -> torch.Tensor:
+        x = _tensor(x, None)
+        rows = _tensor(tables.table(xp, fp, kind, derivative).rows, x)
+        starts = rows[:, 0]
+        k = (x.detach()[..., None] >= starts[1:]).sum(-1)  # ONNX has no search
+        return tables.polynomial(x.clip(starts[0], starts[-1]) - starts[k], rows[k, 1:])
+
+    functions = {name: getattr(torch, name) for name in (*FUNCTIONS, "clip", "where") if name != "mod"}
+    functions |= {"mod": torch.remainder}  # which has the sign of the divisor, as NumPy's
+    return SimpleNamespace(
+        pi=math.pi, interp=interp, solve=ldl.solve, **{name: on(function) for name, function in functions.items()}
+    )

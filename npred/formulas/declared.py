@@ -10,9 +10,9 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from npred.base import source_lines
-from npred.base.errors import ConfigError, similar
+from npred.base.errors import ConfigError, first_line, similar
 from npred.formulas import Parameters, Value
-from npred.formulas.tape import FUNCTIONS, Functions
+from npred.formulas.tape import INSTEAD, NAMES, Functions
 
 Components = list[Value] | None
 
@@ -21,9 +21,19 @@ SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
+CALLS = [f"'{kind}' object is not callable" for kind in ("Symbol", "State", "numpy.ndarray")]
+DELAYED_STATE = "only inputs arrive late; for a state x.h at t - tau declare states that follow it, N of them: " + (
+    "z1' = N (x.h - x.z1) / tau, z2' = N (x.z1 - x.z2) / tau, …"
+)
+UNTRACED = "write its formulas with M, or set traced = False, for functions of arrays that are called"
 HINTS = {
-    "for &": "write M.where(a, M.where(b, yes, no), no) for a and b",
-    "for |": "write M.where(a, yes, M.where(b, yes, no)) for a or b",
+    "for &": "write M.logical_and(a, b)",
+    "for |": "write M.logical_or(a, b)",
+    "unary ~": "write M.logical_not(a)",
+    "for //": "write M.floor(a / b)",
+    "a decision on": "write M.where(condition, a, b)",
+    "'Inputs' object is not callable": "inputs arrive late by themselves: write u.name for U(t - D)",
+    **dict.fromkeys(CALLS, DELAYED_STATE),
     "tuple indices must be": "states, inputs and parameters have names: write x.name, u.name, p.name",
     "'Symbol' object has no attribute": "look at the order of the arguments: write def {signature}",
     "Inputs": "inputs have names: write u.name",
@@ -98,8 +108,8 @@ def failure(plant: Declared, name: str, error: Exception) -> ConfigError:
     """A failure inside a declared function, in one line: where in the author's file, and the likely name."""
     function = getattr(plant.declaration, name)
     line = source_lines.where(error, function) or f" ({source_lines.line(function)})"
-    message = f"plant {plant.name}: {name} failed{line}: {source_lines.one_line(error)}"
-    return ConfigError(f"{message}; {_cure(plant, name, error)}")
+    message = f"plant {plant.name}: {name} failed{line}: {type(error).__name__}: {first_line(error)}"
+    return ConfigError("; ".join(filter(None, (message, _cure(plant, name, error)))))
 
 
 @cache
@@ -116,19 +126,31 @@ def _cure(plant: Declared, function: str, error: Exception) -> str:
         case AttributeError(name=name, obj=record) if (names := getattr(record, "_fields", None)) is not None:
             return f"expected one of {', '.join(names) or 'none: none is declared'}{similar(str(name), names)}"
         case AttributeError(name=name, obj=SimpleNamespace() as of_M):
-            return f"expected one of M's {', '.join(vars(of_M))}{similar(str(name), vars(of_M))}"
+            near = f"; write {INSTEAD[name]}" if name in INSTEAD else similar(str(name), vars(of_M))
+            return f"expected one of M's {', '.join(vars(of_M))}{near}"
         case NameError(name=name):
             return _meant(str(name), plant, function, signature)
+    if plant.traced and (cure := _of_M(error, getattr(plant.declaration, function))):
+        return f"write {cure}"
     for words, hint in HINTS.items():
         if words in str(error):
             return hint.format(signature=signature)
-    ufunc = re.search(r"no callable (\w+) method", str(error))
-    return f"write M.{ufunc[1]}" if ufunc else f"fix {function}"
+    if plant.traced and (library := source_lines.library(error)):
+        return f"{library} takes no state of a trace: {UNTRACED}"
+    return "" if ";" in str(error) else f"fix {function}"
+
+
+def _of_M(error: Exception, function: Callable[..., Any]) -> str | None:
+    """What M has for the function of another library that a symbol was passed to."""
+    home, _, called = source_lines.called(error, function).rpartition(".")
+    ufunc = re.search(r"no callable (\w+) method", str(error))  # of NumPy, which asks a symbol for it
+    names = [called] * (home != "M") + [ufunc[1] if ufunc else ""]
+    return next((INSTEAD.get(name, f"M.{name}") for name in names if name in (*NAMES, *INSTEAD)), None)
 
 
 def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
     """The advice on a name that the function does not know."""
-    homes = {"p": plant.parameters} | ({"x": plant.states, "M": (*FUNCTIONS, "where", "pi")} if plant.traced else {})
+    homes = {"p": plant.parameters} | ({"x": plant.states, "M": NAMES} if plant.traced else {})
     if function in ("f", "mechanics") and plant.traced:
         homes["u"] = plant.inputs
     for home, names in homes.items():

@@ -7,7 +7,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 from npred.formulas import Value
+from npred.formulas.tables import Lookup
 from npred.formulas.tape import OPS, Symbol, Vector, nonzero, tangent_of
+
+KINKED = {"abs", "sign", "where", "maximum", "minimum", "floor", "mod", "atan2", "interp"}
 
 
 def derivative(outputs: Vector, inputs: Vector, direction: Vector) -> list[Value]:
@@ -74,9 +77,12 @@ def lines(
     return assignments + [f"{target} = {_operand(y, names)}" for target, y in zip(targets, outputs, strict=True)]
 
 
-def _operand(a: Value, names: dict[int, str]) -> str:
+def _operand(a: Value, names: dict[int, str]) -> Value:
+    """What stands for an argument in a text; a table is written by the text's own format."""
     if isinstance(a, Symbol):
         return names[a.index]
+    if isinstance(a, Lookup):
+        return a
     if isinstance(a, bool):
         return repr(a)
     return f"({float(a)!r})" if math.isfinite(a) else f"(np.{float(a)!r})".replace("np.-", "-np.")
@@ -94,6 +100,6 @@ def kinks(outputs: Vector, inputs: Vector) -> list[str]:
     for index in _needed(outputs):
         op, args = nodes[index]
         decided = args[:1] if op == "where" else args
-        if op in ("abs", "sign", "where", "maximum", "minimum") and depends(decided, inputs):
+        if op in KINKED and depends(decided, inputs):
             operations.add(op)
     return sorted(operations)

@@ -7,14 +7,14 @@ why this and not a computer-algebra system.
 import math
 import operator
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from npred.base.errors import unlisted
-from npred.formulas import Value, ldl
+from npred.formulas import Value, ldl, tables
 
 Vector = Sequence[Value] | np.ndarray
 Arguments = tuple[Any, ...]  # an operation's: symbols and numbers, and for some the name of an input or function
@@ -32,6 +32,10 @@ class Op:
 def _pow_tangent(a: Value, b: Value, y: Value, da: Value, db: Value) -> Value:
     by_base = b * a ** (b - 1) * da if nonzero(da) else 0.0
     return by_base + (y * M.log(a) * db if nonzero(db) else 0.0)
+
+
+def _interp_tangent(a: Value, table: tables.Lookup, y: Value, da: Value, _: Value) -> Value:
+    return _apply("interp", a, replace(table, derivative=table.derivative + 1)) * da if table.degree else 0.0
 
 
 def _flat(*_: Value) -> float:
@@ -52,15 +56,27 @@ OPS: dict[str, Op] = {
     "cos": Op(math.cos, "math.cos({0})", lambda a, y, da: -(M.sin(a) * da)),
     "tan": Op(math.tan, "math.tan({0})", lambda a, y, da: (1 + y * y) * da),
     "tanh": Op(math.tanh, "math.tanh({0})", lambda a, y, da: (1 - y * y) * da),
+    "sinh": Op(math.sinh, "math.sinh({0})", lambda a, y, da: M.cosh(a) * da),
+    "cosh": Op(math.cosh, "math.cosh({0})", lambda a, y, da: M.sinh(a) * da),
+    "asin": Op(math.asin, "math.asin({0})", lambda a, y, da: da / M.sqrt((1 - a) * (1 + a))),
+    "acos": Op(math.acos, "math.acos({0})", lambda a, y, da: -da / M.sqrt((1 - a) * (1 + a))),
+    "atan": Op(math.atan, "math.atan({0})", lambda a, y, da: da / (1 + a * a)),
+    "atan2": Op(math.atan2, "math.atan2({0}, {1})", lambda a, b, y, da, db: (b * da - a * db) / (a * a + b * b)),
+    "floor": Op(lambda a: float(np.floor(a)), "np.floor({0})", _flat),
+    "mod": Op(operator.mod, "{0} % {1}", lambda a, b, y, da, db: da - (a - y) / b * db),
     "abs": Op(abs, "abs({0})", lambda a, y, da: M.sign(a) * da),
     "sign": Op(lambda a: float((a > 0) - (a < 0)), "np.sign({0})", _flat),
     "lt": Op(operator.lt, "{0} < {1}", _flat),
     "le": Op(operator.le, "{0} <= {1}", _flat),
+    "logical_and": Op(lambda a, b: bool(a and b), "bool({0} and {1})", _flat),
+    "logical_or": Op(lambda a, b: bool(a or b), "bool({0} or {1})", _flat),
+    "logical_not": Op(operator.not_, "not {0}", _flat),
     "where": Op(
         lambda c, a, b: a if c else b, "{1} if {0} else {2}", lambda c, a, b, y, dc, da, db: M.where(c, da, db)
     ),
     "maximum": Op(max, "max({0}, {1})", lambda a, b, y, da, db: M.where(b < a, da, db)),
     "minimum": Op(min, "min({0}, {1})", lambda a, b, y, da, db: M.where(a < b, da, db)),
+    "interp": Op(lambda a, table: float(table(a)), "interp({0}, {1})", _interp_tangent),
 }
 
 
@@ -151,7 +167,7 @@ def tangent_of(a: Value, tangents: dict[int, Value]) -> Value:
 
 
 def _constant(a: Value) -> tuple[str, Value]:
-    return ("constant", a if isinstance(a, str) else float(a).hex())
+    return ("constant", a if isinstance(a, str | tables.Lookup) else float(a).hex())
 
 
 def _fold(op: str, args: Arguments) -> float:
@@ -217,6 +233,7 @@ class Symbol:
     __sub__, __rsub__ = _both("sub")
     __mul__, __rmul__ = _both("mul")
     __truediv__, __rtruediv__ = _both("div")
+    __mod__, __rmod__ = _both("mod")
     __lt__, __gt__ = _both("lt")
     __le__, __ge__ = _both("le")
 
@@ -240,12 +257,13 @@ class Symbol:
 
     def __bool__(self) -> bool:
         raise TypeError(
-            "a decision on a state, input or parameter (if, and, max, min); use M.where, M.maximum, M.minimum"
+            "a decision on a state, input or parameter (if, and, not, max, min), which has no number yet: "
+            "M.where decides on it, M.logical_and joins two, M.maximum takes the larger"
         )
 
     def __float__(self) -> float:
         raise TypeError(
-            "math.sin or float of a state, input or parameter, which has no number yet; use M.sin and its like"
+            "math.sin or float of a state, input or parameter, which has no number yet: M.sin and its like take it"
         )
 
     __int__ = __index__ = __float__  # type: ignore[assignment]
@@ -285,6 +303,16 @@ class Mathematics:
         """a where the condition holds, else b."""
         return _apply("where", condition, a, b)
 
+    def clip(self, a: Value, low: Value, high: Value) -> Value:
+        """a within low and high."""
+        return self.minimum(self.maximum(a, low), high)
+
+    def interp(
+        self, x: Value, xp: Sequence[float], fp: Sequence[float], kind: str = "linear", derivative: int = 0
+    ) -> Value:
+        """The table (xp, fp) at x, or a derivative of that; see npred.formulas.tables."""
+        return _apply("interp", x, tables.table(xp, fp, kind, derivative))
+
     def solve(self, A: Sequence[Vector], b: Vector) -> list[Value]:
         """y of A y = b for a symmetric positive definite A, given as rows; above its diagonal nothing is read."""
         tape = next((a.tape for row in [*A, b] for a in row if isinstance(a, Symbol)), None)
@@ -292,17 +320,34 @@ class Mathematics:
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
         if name not in FUNCTIONS:
-            raise AttributeError(unlisted("M", name, ("pi", "where", "solve", *FUNCTIONS)))
+            message = unlisted("M", name, NAMES)
+            raise AttributeError(f"{message.rpartition(';')[0]}; write {INSTEAD[name]}" if name in INSTEAD else message)
+        count = OPS[name].text.count("{")
 
         def call(*args: Value) -> Value:
-            if len(args) != 1 + (name in ("maximum", "minimum")):
-                raise TypeError(f"M.{name} got {len(args)} arguments")
+            if len(args) != count:
+                raise TypeError(f"M.{name} expected {count} argument{'s' * (count > 1)}, got {len(args)}; give {count}")
             return _apply(name, *args)
 
         return call
 
 
-FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign", "maximum", "minimum")
+FUNCTIONS = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "abs", "sign",
+    "floor", "mod", "maximum", "minimum", "logical_and", "logical_or", "logical_not",
+)  # fmt: skip
+NAMES = ("pi", *FUNCTIONS, "clip", "where", "interp", "solve")
+INSTEAD = {  # what to write for names of other libraries
+    "arcsin": "M.asin", "arccos": "M.acos", "arctan": "M.atan", "arctan2": "M.atan2", "ceil": "-M.floor(-a)",
+    "remainder": "M.mod", "fmod": "M.mod", "absolute": "M.abs", "fabs": "M.abs", "fmax": "M.maximum",
+    "fmin": "M.minimum", "max": "M.maximum", "min": "M.minimum", "amax": "M.maximum", "amin": "M.minimum",
+    "if_else": "M.where", "select": "M.where", "heaviside": "M.where(a < 0, 0.0, 1.0)", "piecewise": "M.where",
+    "interp1d": "M.interp", "CubicSpline": 'M.interp(a, xp, fp, "cubic")', "interpolant": "M.interp",
+    "hypot": "M.sqrt(a * a + b * b)", "square": "a * a", "power": "a ** b", "pow": "a ** b",
+    "log10": "M.log(a) / M.log(10.0)", "log2": "M.log(a) / M.log(2.0)", "log1p": "M.log(1 + a)",
+    "expm1": "M.exp(a) - 1", "radians": "a * M.pi / 180", "deg2rad": "a * M.pi / 180", "round": "M.floor(a + 0.5)",
+    "rint": "M.floor(a + 0.5)", "floor_divide": "M.floor(a / b)", "norm": "M.sqrt of the sum of the squares",
+}  # fmt: skip
 M = Mathematics()
 Functions = Mathematics | SimpleNamespace | ModuleType  # M: on symbols, or on arrays and tensors, see array_math
 

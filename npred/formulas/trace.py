@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.base.errors import ConfigError
-from npred.formulas import Value, programs
+from npred.formulas import Value, programs, tables
 from npred.formulas import tape as tapes
 from npred.formulas.declared import RETURNS, Declared
 
@@ -136,7 +136,8 @@ class Trace:
         return np.array(values, dtype=object)
 
 
-ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum")} | {"where": "np.where({0}, {1}, {2})"}
+ON_ARRAYS = {name: f"np.{name}({{0}}, {{1}})" for name in ("maximum", "minimum", "logical_and", "logical_or")}
+ON_ARRAYS |= {"where": "np.where({0}, {1}, {2})", "logical_not": "np.logical_not({0})"}
 
 
 def python(outputs: tapes.Vector, names: Sequence[str], library: ModuleType = np) -> Callable[..., list[Value]]:
@@ -148,6 +149,6 @@ def python(outputs: tapes.Vector, names: Sequence[str], library: ModuleType = np
     targets = tapes.names("y", len(outputs))
     lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
-    space: dict[str, Any] = {"math": library, "np": np}
+    space: dict[str, Any] = {"math": library, "np": np, "interp": tables.interp}
     exec(text, space)
     return space["function"]

@@ -8,7 +8,10 @@ import numpy as np
 from npred.base.json_files import escaped
 
 SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
-FUNCTIONS = ["sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "fabs", "pow", "asinh", "rint", "floor"]
+FUNCTIONS = [
+    "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "fabs", "pow",
+    "asinh", "rint", "floor", "fmod",
+]  # fmt: skip
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])")
 _HEXADECIMAL = re.compile(r"-?0x[\da-f.]+p[+-]?\d+(?![\w.])")
 _WORD = re.compile(rf"\bdouble\b|\b({'|'.join(FUNCTIONS)})(?=\()")

@@ -23,12 +23,16 @@ from npred.formulas.trace import Trace
 TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
     "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} != 0 ? {1} : {2}",
     "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})", "sin": "sine({0})", "cos": "cosine({0})",
+    "floor": "floor({0})", "mod": "modulus({0}, {1})", "interp": "interpolated({0}, {1:c})",
+    "logical_and": "({0} != 0) & ({1} != 0)", "logical_or": "({0} != 0) | ({1} != 0)", "logical_not": "{0} == 0",
 }  # fmt: skip
 NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
 HEAD = "static INLINED void {name}({arguments})\n{{\n    {lines}\n}}\n"
 # for a function that calls others: for `count` lanes, each with its numbers, and for one lane
 CALLING = HEAD + "static INLINED void {name_of_one}({of_one})\n{{\n    {name}(1, {passed});\n}}\n"
 CALL = re.compile(r"plant_(\w+)\((.*)\)$")
+_CONDITION = re.compile(r"\S+ (?:<=?|==) \S+|\(.+\) [&|] \(.+\)")
+_TABLE = re.compile(r"(interpolated\(.+), (\{.+\})\)")
 _VARIABLE = re.compile(r"\bv\d+\b")
 LOOP = "LANES for (int l = 0; l < count; l++) {"
 # `count` is one or GROUP, both compiled apart
@@ -165,7 +169,10 @@ def _statement(line: str) -> str:
     right = _NUMBER.sub(lambda number: NUMBERS[number[0]], right)
     if not re.fullmatch(r"v\d+", left):
         return f"{left} = {right};"
-    kind = "int" if re.fullmatch(r"\S+ <=? \S+", right) else "double"
+    if table := _TABLE.fullmatch(right):
+        call, numbers = table.groups()
+        return f"static const double {left}_rows[] = {numbers}; const double {left} = {call}, {left}_rows);"
+    kind = "int" if _CONDITION.fullmatch(right) else "double"
     return f"const {kind} {left} = {right};"
 
 
@@ -212,4 +219,4 @@ def _of_lane(text: str, arrays: set[str], results: Mapping[str, str]) -> str:
         return f"{v}{item}[l]" if v in arrays or v in results else match[0]
 
     text = re.sub(r"\b(?P<v>v\d+)\b(?P<item>\[\d+\])?", indexed, text)
-    return re.sub(r"^const (?:int|double) (v\d+\[l\] =)", r"\1", text)
+    return re.sub(r"\bconst (?:int|double) (v\d+\[l\] =)", r"\1", text)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from npred.base import json_files, registry
 from npred.base.errors import ConfigError
-from npred.formulas import Array, Value
+from npred.formulas import Array, Parameters, Value
 from npred.formulas.declared import RETURNS, Components, failure, parameters
 from npred.formulas.tape import Functions
 from npred.plants.base import Plant
@@ -78,13 +78,13 @@ class BlackBox(Plant):
 
     def jacobians(self, X: np.ndarray, u: np.ndarray, t: Value = 0.0) -> tuple[np.ndarray, np.ndarray]:
         X, u = np.asarray(X, dtype=float), np.asarray(u, dtype=float)
-        by_X = [self.df(X, u, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)]
-        by_u = [difference(lambda at: self.f(X, at, t), u, np.broadcast_to(unit, u.shape)) for unit in np.eye(self.m)]
-        return np.stack(by_X, axis=-1), np.stack(by_u, axis=-1)
+        by_X = self.df(X, u, t, units(X))
+        by_u = difference(lambda at: self.f(X, at, t), u, units(u))
+        return np.moveaxis(by_X, 0, -1), np.moveaxis(by_u, 0, -1)
 
     def kappa_jacobian(self, X: np.ndarray, t: Value = 0.0) -> np.ndarray:
         X = np.asarray(X, dtype=float)
-        return np.stack([self.dkappa(X, t, np.broadcast_to(unit, X.shape)) for unit in np.eye(self.n)], axis=-1)
+        return np.moveaxis(self.dkappa(X, t, units(X)), 0, -1)
 
     def _reference(self, t: np.ndarray) -> np.ndarray:
         return self._rows("reference", self.n, t)
@@ -93,15 +93,20 @@ class BlackBox(Plant):
         self, name: str, size: int | None, t: Value, *arrays: ArrayLike, last: ArrayLike | None = None
     ) -> np.ndarray:
         """The declared function on arrays (..., k), seen by it as rows: (..., size), or (...) where size is None."""
-        self._fits(*arrays)
-        inputs = [np.asarray(a, dtype=float) for a in arrays]
-        t = np.asarray(t, dtype=float)
-        more = [] if last is None else [np.asarray(last, dtype=float)]
-        shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in inputs + more))
-        rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in inputs + more]
-        if t.ndim or not arrays:
-            t = np.broadcast_to(t, shape).reshape(-1)
-        arguments = [*rows[: len(inputs)], t, parameters(self), *rows[len(inputs) :]]
+        t, points = np.asarray(t, dtype=float), [np.asarray(a, dtype=float) for a in arrays]
+        if any(a.shape[-1:] != (k,) for a, k in zip(points, (self.n, self.m), strict=False)):
+            self._fits(*arrays)
+        points += [] if last is None else [np.asarray(last, dtype=float)]
+        shape = points[0].shape[:-1] if points else t.shape
+        if len(shape) == 1 and t.shape in ((), shape) and all(a.shape[:-1] == shape for a in points):
+            rows = [a.view() for a in points]  # as a loop calls it, where each microsecond is paid often
+        else:
+            shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in points))
+            rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in points]
+            t = np.broadcast_to(t, shape).reshape(-1) if t.ndim or not arrays else t
+        for a in rows:
+            a.flags.writeable = False
+        arguments = [*rows[: len(arrays)], t, self._named_parameters, *rows[len(arrays) :]]
         count = len(rows[0]) if rows else t.size
         expected = (count,) if size is None else (count, size)
         try:
@@ -112,6 +117,10 @@ class BlackBox(Plant):
             what = f"expected to return shape {expected}, one row per loop, got {values.shape}"
             raise ConfigError(f"{self.location(name)} {what}; return {RETURNS.get(name, 'one value per component')}")
         return values.reshape(shape if size is None else (*shape, size))
+
+    @cached_property
+    def _named_parameters(self) -> Parameters:
+        return parameters(self)
 
     @np.errstate(all="ignore")  # where it is not finite is for the caller to say, in words
     def _declared(self, name: str, arguments: list[Argument]) -> np.ndarray:
@@ -143,6 +152,8 @@ class BlackBox(Plant):
             harmless = [np.zeros_like(a[:1]) if b else a for a, b in zip(arguments, batched, strict=True)]
             if batched[0] and arguments[0].ndim == 2:
                 harmless[0] = self.guess[None]
+            for a in (a for a, b in zip(harmless, batched, strict=True) if b):
+                a.flags.writeable = False  # as those of the loop: a function that writes to them fails here too
             try:
                 self._declared(name, harmless)
             except UNDEFINED:
@@ -191,7 +202,14 @@ def difference(function: Map, X: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Central difference of the function of X (..., n) along v (..., n)."""
     length = np.linalg.norm(v, axis=-1, keepdims=True)
     h = STEP * (1.0 + np.linalg.norm(X, axis=-1, keepdims=True)) / np.where(length > 0, length, 1.0)
-    return (function(X + h * v) - function(X - h * v)) / (2 * h)
+    ahead, behind = function(np.stack([X + h * v, X - h * v]))  # one call: half as long, where a call is most of it
+    return (ahead - behind) / (2 * h)
+
+
+def units(X: np.ndarray) -> np.ndarray:
+    """The unit directions (k, ..., k) of points X (..., k), in turn."""
+    size = X.shape[-1]
+    return np.eye(size).reshape(size, *(1,) * (X.ndim - 1), size)
 
 
 def _rate(function: Map, t: Value) -> np.ndarray:

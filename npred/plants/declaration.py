@@ -4,7 +4,6 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from difflib import get_close_matches
 from keyword import iskeyword
 from typing import Annotated, Any, Self
 
@@ -15,6 +14,22 @@ from npred.base.errors import ConfigError, similar, unlisted
 
 NAME = re.compile(r"\w[\w., -]{0,99}")
 LONGEST = 40  # letters of a label or a unit
+CALLED = ("df", "dkappa", "files")  # further parts of a black box
+_LIMITS, _LATE = "; did you mean input_bounds?", "; did you mean delays, or D of the loop?"
+_LOOPS = "; it is the loop's: pass it to npred.simulate"
+_JUMPS = "; states do not jump: did you mean state_bounds, or M.where in f?"
+_RATES = "; declare the actuator as a state, u' = v, and its rate v as the input, with input_bounds"
+ELSEWHERE = {  # where npred has what others declare by these names
+    "bounds": "; did you mean input_bounds or box?", "limits": "; did you mean input_bounds or safe?",
+    **dict.fromkeys(("u_max", "u_min", "umax", "umin", "u_bounds", "saturation", "input_limits"), _LIMITS),
+    **dict.fromkeys(("rate_limit", "rate_limits", "slew_rate", "du_max"), _RATES),
+    **dict.fromkeys(("event", "events", "reset", "resets", "jump", "jumps"), _JUMPS),
+    **dict.fromkeys(("d", "tau", "dead_time", "lag", "input_delay", "time_delay"), _LATE),
+    **dict.fromkeys(("disturbance", "sensors", "dt", "t_end", "x0", "u0", "d_hat"), _LOOPS),
+    "params": "; did you mean parameters?",
+    "equilibrium": "; did you mean guess?", "x_eq": "; did you mean guess?", "dynamics": "; did you mean f?",
+    **dict.fromkeys(("controller", "control", "law"), "; did you mean kappa?"), "lyapunov": "; did you mean V?",
+}  # fmt: skip
 MARKUP = set("$\\")  # what matplotlib would read as mathematics
 
 
@@ -66,8 +81,9 @@ Names = Annotated[tuple[Name, ...], LIST, DIFFERENT]
 Number = Annotated[float, expected("a number", "write one")]
 Finite = Annotated[float, expected("a finite number", "write one", math.isfinite)]
 Seconds = Annotated[Finite, expected("seconds above 0", "write how many", lambda seconds: seconds > 0)]
+Delay = Annotated[Finite, expected("seconds, 0 or more", "write how many", lambda seconds: seconds >= 0)]
 Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", "write a tuple")]
-Delays = Annotated[tuple[Seconds, ...], LIST, expected("the seconds of each input", "write a tuple")]
+Delays = Annotated[tuple[Delay, ...], LIST, expected("the seconds of each input", "write a tuple")]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
 Bounds = Annotated[
     tuple[Range, ...], BeforeValidator(_pairs), expected("a pair (low, high) per input", "write ((0.0, 1.0),), say")
@@ -75,7 +91,11 @@ Bounds = Annotated[
 Ranges = Annotated[dict[str, Range], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
-Parameters = Annotated[dict[Name, Finite], expected('a table {"a": 1.0}', "write a dict")]
+OneNumber = Annotated[
+    float,
+    expected("a finite number", "give each number of an array a name, or keep it outside the class", math.isfinite),
+]
+Parameters = Annotated[dict[Name, OneNumber], expected('a table {"a": 1.0}', "write a dict")]
 Text = Annotated[str, STRICT, AfterValidator(lambda text: text.strip()), IS_LINE]
 Texts = Annotated[dict[str, Text], expected('texts as {"h": "m"}', "write a dict")]
 Function = Annotated[Callable[..., Any], expected("a function", "write one with def")]
@@ -116,6 +136,8 @@ class Declaration(BaseModel, frozen=True):
             if values is not None and len(values) != len(names):
                 each = f"one for each of {', '.join(names)}"
                 raise ValueError(f"{part}: expected {each}, got {values}; give {len(names)}")
+        if self.delays and not any(self.delays):
+            raise ValueError("delays: expected a delay above 0, got none; drop delays, and give the loop D = 0")
         if self.delay and {"u", "U"} & set(inspect.signature(self.delay).parameters):
             refused = f"a delay that depends on the input is not supported, got delay{inspect.signature(self.delay)}"
             raise ValueError(f"delay: {refused}; write delay(x, t, p, M)")
@@ -147,11 +169,12 @@ def read(plant: str, declaration: Any, overrides: Mapping[str, Any]) -> Declarat
                 raise ConfigError(f"plant {plant}: expected parameters, got {key!r}{near}")
             raise ConfigError(unlisted(f"plant {plant}", key, defaults, "parameters"))
         parts["parameters"] = {**defaults, **overrides}
-    undeclared = [name for name in Declaration.model_fields if name not in parts]
-    traced = isinstance(declaration, type) and getattr(declaration, "traced", True)
-    for name in vars(declaration) if traced else ():  # a black box has other parts too
-        if name not in Declaration.model_fields and get_close_matches(name, undeclared, cutoff=0.85):
-            raise ConfigError(f"plant {plant}: {name}: unknown part{similar(name, undeclared)}; rename it")
+    parts_of_kind = (*Declaration.model_fields, "traced", *(CALLED if not getattr(declaration, "traced", True) else ()))
+    for name in dir(declaration) if parts else ():
+        if not name.startswith("_") and name not in parts_of_kind:
+            meant = ELSEWHERE.get(name.casefold()) or similar(name, parts_of_kind)
+            cure = "rename it, or begin it with an underscore, as what is no part does"
+            raise ConfigError(f"plant {plant}: {name}: unknown part{meant}; {cure}")
     try:
         return Declaration.model_validate(parts)
     except ValidationError as error:

@@ -79,7 +79,7 @@ def test_the_score_is_the_formula(data):
 
 def test_outside_of_a_small_domain_the_search_goes_in(data):
     guard = with_domain(Blind, data, TOLERANCE)
-    guard.domain.limit[...] = np.median(guard.domain.distance(data.X, data.u, data.D_hat, None))
+    guard.domain.limit[...] *= np.median(guard.domain.distance(data.X, data.u, data.D_hat, None)) / 2
     calls, _, _, _, passed = searched(guard, data)
     inside = guard.beyond(*calls) <= 1
     waves = inside.reshape(SEARCHES, STEPS, -1)[0].mean(axis=1)

@@ -79,6 +79,23 @@ def test_a_law_that_depends_on_time_takes_it(tmp_path):
     np.testing.assert_allclose(U, loop.U[:20], rtol=1e-4, atol=1e-4)
 
 
+def test_a_law_of_tables_and_pieces_is_in_the_graph():
+    points, heights = [-3.0, -1.0, 0.0, 2.0], [0.0, 1.0, 3.0, 1.0]
+    plant = plants.resolve("activator_repressor").controlled(
+        lambda x, t, p, M: [
+            M.interp(x[0], points, heights, "cubic") + M.interp(x[1], points, heights) + M.atan2(x[0], 1 + M.cosh(x[1]))
+            + M.where(M.logical_and(x[0] < 1, M.logical_not(x[1] < 0)), M.floor(x[0]), M.mod(x[1], 2.0))
+            + M.clip(M.sinh(x[0]), -1.0, 1.0)
+        ]
+    )  # fmt: skip
+    torch.manual_seed(0)
+    model = build(SMALL[0], plants.resolve("activator_repressor"), Scaling(plant.n, plant.m)).eval().float()
+    X = np.random.default_rng(0).uniform(-2, 2, (9, 2)).astype(np.float32)
+    feed = {"X": X, "u": np.zeros((9, 11, 1), np.float32), "D_hat": np.ones(9, np.float32)}
+    P, U = runtime.session(runtime.graph(model, plant, 11)).run(["P", "U"], feed)
+    np.testing.assert_allclose(U, plant.kappa(P[:, -1].astype(float)), rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.parametrize("config", SMALL, ids=lambda config: type(config).__name__)
 def test_several_delays_and_a_phase_of_the_time(tmp_path, config):
     plant, data, t = phased()

@@ -19,6 +19,7 @@ from npred.lab.stages.train import train
 from npred.loop.closed_loop import simulate
 from npred.plants.black_box import BlackBox
 from npred.prediction import methods as predictors
+from npred.prediction.delays import arrays
 
 TRACED = plants.resolve("cart_pole")
 LAW = DelayAdaptation(gamma=1.0, b=1.0, bounds=(0.1, 0.3))
@@ -72,6 +73,21 @@ def plant(write):
     return plants.resolve(write())
 
 
+def test_a_function_cannot_write_to_the_loops_memory(write):
+    plant = plants.resolve(write("return CART.f(X, u)", "X[:] = 0; return CART.f(X, u)"))
+    with pytest.raises(ConfigError, match=r"f failed at .*read-only"):
+        predictors.numerical("rk4", plant, 5)(np.zeros(4), np.zeros((5, 1)), 0.2)
+
+
+def test_differences_along_all_directions_are_one_call(write):
+    plant = plants.resolve(
+        write("assert X.shape[1:]", "rows.append(len(X))\n        assert X.shape[1:]", "\n\nrows = []\n")
+    )
+    rows = plant.declaration.f.__globals__["rows"]
+    plant.jacobians(np.zeros((3, 4)), np.zeros((3, 1)))
+    assert rows == [2 * 4 * 3, 2 * 1 * 3]
+
+
 def test_functions_are_those_declared_on_any_batch(plant):
     random = np.random.default_rng(0)
     X, u = random.uniform(-0.5, 0.5, (3, 2, 4)), random.uniform(-1, 1, (3, 2, 1))
@@ -102,7 +118,20 @@ def test_predictions_are_those_of_the_compiled_predictor(plant, method):
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-11)
 
 
-def test_update_law_is_that_of_the_traced_plant(write):
+@pytest.mark.parametrize("few", [0, 4])
+@pytest.mark.parametrize("timed", [False, True])
+def test_update_law_is_that_of_the_traced_plant(write, few, timed, monkeypatch):
+    monkeypatch.setattr(arrays, "FEW", few)
+    if timed:
+        text = write("return CART.f(X, u)", "return CART.f(X, u) * (1 + 0.3 * np.sin(np.reshape(t, (-1, 1))))")
+        moving = type("Moving", (TRACED.declaration,), {"f": lambda x, u, t, p, M: [
+            a * (1 + 0.3 * M.sin(t)) for a in TRACED.declaration.f(x, u, t, p, M)]})  # fmt: skip
+        pair = plants.resolve(text), plants.Plant("moving", moving)
+        random = np.random.default_rng(4)
+        X, u = random.uniform(-0.3, 0.3, (6, 4)), random.uniform(-1, 1, (6, 11, 1))
+        P = predictors.numerical("rk4", pair[1], 11)(X, u, 0.2, 0.7)
+        np.testing.assert_allclose(*(LAW.phi(plant, X, u, P, 0.2, 0.7) for plant in pair), rtol=1e-6)
+        return
     plant, random = plants.resolve(write(more=GIVEN)), np.random.default_rng(3)
     X, u, D_hat = random.uniform(-0.3, 0.3, (6, 4)), random.uniform(-1, 1, (6, 11, 1)), random.uniform(0.1, 0.3, 6)
     P = predictors.numerical("rk4", TRACED, 11)(X, u, D_hat)
@@ -154,7 +183,7 @@ def test_identity_follows_the_file_the_parameters_and_the_files_it_reads(write, 
     data.write_text("2")
     changed = identity(plants.resolve(write(more=more)))
     commented = identity(plants.resolve(write(more=more + "# a comment\n")))
-    other = identity(plants.resolve(write(more=more + "    more = 1\n")))
+    other = identity(plants.resolve(write(more=more + "    _more = 1\n")))
     assert commented == changed
     assert before["program"]["source"] == changed["program"]["source"] != other["program"]["source"]
     read = "files.data.txt"

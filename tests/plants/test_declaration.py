@@ -50,6 +50,10 @@ def plant(**parts):
         ({"inputs": (1,)}, r"inputs\[0\]: expected a name that Python accepts, got 1"),
         ({"inputs": ()}, "inputs: expected different names"),
         ({"parameters": ["c"]}, "parameters: expected a table"),
+        (
+            {"parameters": {"A": np.eye(2)}},
+            r"parameters\['A'\]: expected a finite .*; give each number of an array a name, or",
+        ),
         ({"parameters": {"in": 1.0}}, r"parameters\['in'\]: expected a name that Python accepts, got 'in'"),
         ({"parameters": {"c": "half"}}, r"parameters\['c'\]: expected a finite number, got 'half'"),
         ({"parameters": {"c": math.nan}}, r"parameters\['c'\]: expected a finite number, got nan"),
@@ -73,6 +77,20 @@ def plant(**parts):
         ({"input_bounds": {"q": (0, 1)}}, r"input_bounds: expected a pair .*, got {'q'"),
         ({"label": {"h": "level"}}, r"label: unknown part; did you mean labels\?; rename it"),
         ({"input_bound": [(0, 1)]}, r"input_bound: unknown part; did you mean input_bounds"),
+        (
+            {"bounds": [(0, 1)]},
+            r"bounds: unknown part; did you mean input_bounds or box\?; rename it, or begin it with an",
+        ),
+        ({"u_max": 1.0}, r"u_max: unknown part; did you mean input_bounds\?; rename it"),
+        ({"rate_limit": 1.0}, "rate_limit: unknown part; declare the actuator as a state"),
+        ({"events": ()}, "events: unknown part; states do not jump: did you mean state_bounds, or M.where in f"),
+        ({"reset": Tank.f}, "reset: unknown part; states do not jump"),
+        ({"tau": 0.5}, r"tau: unknown part; did you mean delays, or D of the loop\?"),
+        ({"D": 0.5}, r"D: unknown part; did you mean delays, or D of the loop\?"),
+        ({"disturbance": Tank.f}, "disturbance: unknown part; it is the loop's: pass it to npred.simulate"),
+        ({"flow": Tank.f}, "flow: unknown part; rename it, or begin it with an underscore"),
+        ({"parameter": {}}, r"parameter: unknown part; did you mean parameters"),
+        ({"df": Tank.f}, "df: unknown part"),
         ({"input_bounds": [(1, 0)]}, r"input_bounds\[0\]: expected a range"),
         ({"state_bounds": {"q": (0, 1)}}, "state_bounds: expected one of h, got 'q'"),
         ({"input_bounds": np.array([[0, math.nan]])}, r"input_bounds\[0\]: expected a range"),
@@ -85,8 +103,9 @@ def plant(**parts):
         ({"time_unit": "a" * 41}, "time_unit: expected up to 40 letters"),
         ({"delays": 0.5}, "delays: expected the seconds of each input, got 0.5"),
         ({"delays": (0.5, 0.6)}, "delays: expected one for each of q"),
-        ({"delays": (0.0,)}, r"delays\[0\]: expected seconds above 0"),
-        ({"delays": ("late",)}, r"delays\[0\]: expected seconds above 0, got 'late'"),
+        ({"delays": (0.0,)}, r"delays: expected a delay above 0, got none; drop delays, and give the loop D = 0"),
+        ({"delays": (-0.1,)}, r"delays\[0\]: expected seconds, 0 or more, got -0.1"),
+        ({"delays": ("late",)}, r"delays\[0\]: expected seconds, 0 or more, got 'late'"),
         ({"f": 3}, "f: expected a function, got 3"),
     ],
 )
@@ -94,6 +113,17 @@ def test_a_wrong_part_is_told_in_one_line(parts, message):
     with pytest.raises(ConfigError, match=message) as caught:
         plant(**parts)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_part_begins_with_an_underscore_in_bases_too():
+    class Base:
+        @staticmethod
+        def outflow(h):
+            return h
+
+    assert plant(_outflow=Base.outflow).states == ("h",)
+    with pytest.raises(ConfigError, match="outflow: unknown part"):
+        Plant("Tank", type("Changed", (Tank, Base), {}))
 
 
 @pytest.mark.parametrize("value", [None, "1", [1.0], {"h": 1.0}])

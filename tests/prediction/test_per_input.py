@@ -77,7 +77,7 @@ def exact(plant, X, u, t, ends):
 
 
 @pytest.mark.parametrize("method", ONESTEP)
-@pytest.mark.parametrize("delays", [(0.25, 0.6), (0.6, 0.25), (0.31, 0.32, 0.6)])
+@pytest.mark.parametrize("delays", [(0.25, 0.6), (0.6, 0.25), (0.31, 0.32, 0.6), (0.0, 0.6), (0.6, 0.31, 0.0)])
 def test_fitted_order_against_dop853_with_kinks_between_nodes(method, delays):
     declared, X, t = plant(delays, len(delays)), [0.5, -0.3, 0.8], 0.4
     intervals, quarters = [40, 80, 160], [0.25, 0.5, 0.75, 1.0]
@@ -146,10 +146,27 @@ def test_the_prediction_meets_the_plant_at_first_order_in_dt(more):
     assert 0.4 < errors[1] / errors[0] < 0.6
 
 
+@pytest.mark.parametrize("method", ONESTEP)
+def test_an_input_without_delay_is_one_with_almost_none(method):
+    """The loop, and the prediction with a law that acts at once; the input of no delay is the law of the state."""
+    settings = {"D": 0.6, "D_hat": 0.55, "X0": [0.5, -0.3, 0.8], "t_end": 3.0, "dt": 0.013, "actuator": "history"}
+    none, almost = plant((0.0, 0.6)), plant((1e-11, 0.6))
+    loops = [simulate(p, predictors.numerical(method, p, 41), **settings) for p in (none, almost)]
+    for name in ("X", "U", "P"):
+        np.testing.assert_allclose(getattr(loops[0], name), getattr(loops[1], name), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(loops[0].U[:, 0], none.kappa(loops[0].X, loops[0].t)[:, 0], rtol=1e-12, atol=1e-12)
+    controller = npred.controller(
+        none, predictors.numerical(method, none, 41), None, 0.013, D_hat=0.55, actuator="history"
+    )
+    stepped = np.array([controller.step(X).copy() for X in loops[0].X[:60]])
+    np.testing.assert_allclose(stepped, loops[0].U[:60], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("delays", [(0.25, 0.6), (0.0, 0.6)])
 @pytest.mark.parametrize("nx", [97, 101])
-def test_control_is_the_law_of_the_prediction_at_each_delay(nx):
+def test_control_is_the_law_of_the_prediction_at_each_delay(nx, delays):
     """U_j = kappa_j(P(r_j), t + r_j D_hat), whether x = 5/12 is a node (nx = 97) or lies between two."""
-    declared, X = plant((0.25, 0.6)), [0.5, -0.3, 0.8]
+    declared, X = plant(delays), [0.5, -0.3, 0.8]
     controller = npred.controller(declared, RK4(declared, nx), None, 0.01, D_hat=D_HAT)
     for k in range(3):
         U = controller.step(X, u(grid.nodes(nx)))
@@ -157,14 +174,15 @@ def test_control_is_the_law_of_the_prediction_at_each_delay(nx):
             assert U[c] == pytest.approx(declared.kappa(P, 0.01 * k + r * D_HAT)[c], abs=3e-4)
 
 
+@pytest.mark.parametrize("first", [0.37, 0.0])
 @given(D=st.floats(0.05, 0.9))
 @settings(max_examples=20)
-def test_each_input_arrives_after_its_own_delay(D):
+def test_each_input_arrives_after_its_own_delay(first, D):
     """X' = U(t - r_j D) without feedback of X: the states are the integrals of the delayed inputs, to rounding."""
 
-    dt = 0.03
-    loop = simulate(INTEGRATORS, RK4(INTEGRATORS, 5), D=D, D_hat=0.0, X0=[0.0, 0.0], t_end=2.1, dt=dt, u0=[0.3, -0.4])
-    for c, late in enumerate(np.array([0.37, 1.0]) * D):
+    dt, chain = 0.03, INTEGRATORS if first else Plant("at once", type("AtOnce", (Integrators,), {"delays": (0.0, 1.0)}))
+    loop = simulate(chain, RK4(chain, 5), D=D, D_hat=0.0, X0=[0.0, 0.0], t_end=2.1, dt=dt, u0=[0.3, -0.4])
+    for c, late in enumerate(np.array([first, 1.0]) * D):
         total = np.concatenate([[0.0], np.cumsum(loop.U[:-1, c]) * dt])
         s = loop.t - late
         wanted = np.interp(s, loop.t, total) + (0.3, -0.4)[c] * (late + np.minimum(s, 0.0))

@@ -120,7 +120,7 @@ def test_it_is_the_declared_function_on_rows(tank):
 
 def test_a_plant_without_a_simulator_refuses_it(tank):
     traced = plants.resolve("scalar")
-    for plant in (traced, tank("def rollout", "def rolled")):
+    for plant in (traced, tank("def rollout", "def _rolled")):
         with pytest.raises(ConfigError, match=r"rollout: expected traced = False and rollout\(X, u.*use rk4"):
             Rollout(plant)
     with pytest.raises(ConfigError, match="rollout expected traced = False"):

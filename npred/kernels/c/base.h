@@ -58,6 +58,35 @@ SPARE static inline double sign_of(double a)
     return (double)((a > 0.0) - (a < 0.0));
 }
 
+/* a modulo b with the sign of b, as Python's % and NumPy's mod. */
+SPARE static inline double modulus(double a, double b)
+{
+    const double rest = fmod(a, b);
+    return rest != 0.0 && (rest < 0.0) != (b < 0.0) ? rest + b : rest;
+}
+
+/* A table at x: each of its rows is where a piece begins and the coefficients of a polynomial in the distance from
+ * there. The first piece comes before the table, the last after it: both are level. */
+SPARE static inline double interpolated(double x, int count, int width, const double *rows)
+{
+    const double *last = rows + (count - 1) * width;
+    const double inside = smaller(larger(x, rows[0]), last[0]);
+    int low = 0, high = count;
+    while (high - low > 1) {
+        const int middle = (low + high) / 2;
+        const int before = x < rows[middle * width];
+        high = before ? middle : high;
+        low = before ? low : middle;
+    }
+    const double *row = rows + low * width;
+    const double s = inside - row[0];
+    double value = row[width - 1] + 0.0 * s;
+    for (int k = width - 2; k > 0; k--) {
+        value = value * s + row[k];
+    }
+    return value;
+}
+
 SPARE static inline int least(int a, int b)
 {
     return b < a ? b : a;

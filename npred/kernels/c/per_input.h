@@ -63,7 +63,8 @@ static inline void PART(_piece)(double begin, double end, int last, int lanes, i
     for (int c = 0; c < M; c++) {
         const double r = PART(_ratios)[c];
         past[c] = r < 1.0 && begin >= PART(_edge)(c, last);
-        PART(_read)(c, last, lanes, width, u, begin / r, end / r, a + c * WIDE, half + c * WIDE, b + c * WIDE);
+        const double from = past[c] > 0.0 ? (double)last : begin / r, to = past[c] > 0.0 ? (double)last : end / r;
+        PART(_read)(c, last, lanes, width, u, from, to, a + c * WIDE, half + c * WIDE, b + c * WIDE);
     }
     LANES for (int l = 0; l < width; l++) {
         const double h = D_hat[l] * (end - begin) / (double)last, now = t + D_hat[l] * begin / (double)last;

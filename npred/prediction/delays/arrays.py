@@ -8,12 +8,13 @@ from typing import ClassVar
 import numpy as np
 
 from npred.base import grid
-from npred.formulas import Value, array_math
+from npred.formulas import array_math
 from npred.plants.base import Plant
-from npred.plants.black_box import BlackBox
+from npred.plants.black_box import BlackBox, units
 from npred.prediction.delays.problem import CURES, Kernel, PredictionProblem, Step, transition
 
 Lanes = np.ndarray  # lanes innermost
+FEW = 4  # states up to which derivatives by all of them cost less than a call for each direction
 
 
 class ArrayProblem(PredictionProblem):
@@ -80,21 +81,21 @@ class ArrayProblem(PredictionProblem):
         plant = self.plant
         f = on_lanes(plant)
 
-        def df(x: Lanes, v: Lanes, t: Value, along: Lanes) -> Lanes:
-            return plant.df(x.T, v.T, t, along.T, 1.0).T
-
         @np.errstate(all="ignore")
         def law(P: Lanes, X: Lanes, u: Lanes, D_hat: Lanes, t: float, p: Lanes, b: float, phi: Lanes, N: Lanes) -> None:
             last, h = len(P) - 1, D_hat / (len(P) - 1)
             r = f(P[0], u[0], t + 0.0 * h)
-            s, I1, I2 = h * df(P[0], u[0], t + 0.0 * h, r), 0.0, 0.0
-            for j in range(last + 1):
-                now = t + j * h
-                if j:
-                    r, s = transition(df, P[j], u[j], now, h, r, s)
-                w, q1 = u[j] - plant.kappa(P[j].T, now).T, plant.dkappa(P[j].T, now, r.T, 1.0).T
-                weight = (1.0 + j / last) * (0.5 if j in (0, last) else 1.0)
-                I1, I2 = I1 + weight * (q1 * w).sum(axis=0), I2 + weight * (w * w).sum(axis=0)
+            nodes = np.arange(last + 1)[:, None]
+            states, inputs, now = P.transpose(0, 2, 1), u.transpose(0, 2, 1), t + nodes * h
+            df = _slopes(plant, states, inputs, now)
+            s, moved = h * df[0](P[0], u[0], t + 0.0 * h, r), [r]
+            for j in range(1, last + 1):
+                r, s = transition(df[j], P[j], u[j], t + j * h, h, r, s)
+                moved.append(r)
+            along = np.stack(moved).transpose(0, 2, 1)
+            w, q1 = inputs - plant.kappa(states, now), plant.dkappa(states, now, along, 1.0)
+            weight = (1.0 + nodes / last) * np.where((nodes == 0) | (nodes == last), 0.5, 1.0)
+            I1, I2 = (weight * (q1 * w).sum(axis=-1)).sum(axis=0), (weight * (w * w).sum(axis=-1)).sum(axis=0)
             N[:] = 1.0 + plant.V(X.T, t) + b * I2 / last
             phi[:] = -I1 / last / N
 
@@ -113,6 +114,21 @@ class ArrayProblem(PredictionProblem):
                 X[:] = np.where(part < 1.0, plant.stopped(rest, array_math.NUMPY), X)
 
         return held
+
+
+def _slopes(plant: BlackBox, states: np.ndarray, inputs: np.ndarray, now: np.ndarray) -> list[Step]:
+    """df(x, u, t, along) = f_X along + f_t on lanes for each node, states (nx, B, n), inputs (nx, B, m), now (nx, B).
+
+    Of FEW states the derivatives of all nodes by all states are one call; else one call for each `along`.
+    """
+    if plant.n > FEW:
+        return [lambda x, u, t, along: plant.df(x.T, u.T, t, along.T, 1.0).T] * len(states)
+    f_X = plant.df(states, inputs, now, units(states))
+    f_t = np.zeros_like(states) if plant.autonomous else plant.df(states, inputs, now, 0.0 * states, 1.0)
+    return [
+        lambda x, u, t, along, f_X=f_X[:, j], f_t=f_t[j]: np.einsum("kbi,kb->ib", f_X, along) + f_t.T
+        for j in range(len(states))
+    ]
 
 
 def on_lanes(plant: Plant) -> Step:
