@@ -3,11 +3,16 @@
     python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain]
     python benchmarks/guard_adversary.py --table --calls 100_000 --seconds 3600
     python benchmarks/guard_adversary.py --states data --recombined 240000
+    python benchmarks/guard_adversary.py --answers 20000
 
 MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; with
 `--table` those of docs/guard.md. Inputs are u and D_hat in the ranges of the data, and X in the plant's box, as `npred
-certify` searches, or in the range of the data; with `--states domain` all three as far as the guard's domain reaches.
+certify` searches, or in the range of the data; with `--states domain` all three as far as the guard's domain reaches,
+and u ten times as wide from node to node, for the domain knows three moments of u alone. `readings agree` counts those
+passes for which the readings of u differ by a quarter of the tolerance at most, and `above` the wrong ones among them.
 `--recombined` searches nothing: X, u, D_hat and the time are those of rows of the data, each of another one.
+`--answers` prints instead the errors of U that the numerical predictor makes in the calls that do not pass, of rows of
+the data with X from the plant's box or its range in half of them.
 
 Neither the guard, nor npred's integrators, nor its plants say here what the true U is. Hill climbing from rows of the
 data, and CMA-ES from the best that it came to, maximise the error of U among the calls that pass. That error is the
@@ -40,29 +45,34 @@ from npred.prediction.methods import RK4
 
 READINGS = ("linear", "cubic", "constant", "means")
 COARSE, FINE = 2, 16  # steps of RK4 a cell: to search by, and to count by; even, so that a reading's jumps are between
+AGREE = 0.25  # of the tolerance: how far U may differ by readings of u that agree
 PENALTY = 1.5  # of a call that does not pass, by the logarithm of how far it is from passing
 CHAINS, MOVES = 500, 40  # of a round of hill climbing
 POPULATIONS, SIZE, GENERATIONS, KEPT = 24, 20, 120, 6  # of a round of CMA-ES; those that the next round begins with
-SHAPES = {"waves": 0.35, "stairs": 0.25, "lines": 0.25, "nodes": 0.15}  # by which a population moves u: their shares
+SHAPES = {"waves": 0.25, "stairs": 0.2, "lines": 0.2, "nodes": 0.1, "rough": 0.25}  # by which a population moves u
 NUMBERS = (1, 2, 3, 5, 8, 16)  # of shapes of u that a population has
 WHOLE = 60  # coordinates up to which CMA-ES adapts a whole covariance
 FLAT = 0.3  # of the populations that begin at a constant u
+ROUGH = 0.4  # of the starts and of the moves of u that turn from node to node
+TURNS = (1, 1, 1, 2, 3, 4, 5, 7, 10)  # nodes after which a rough u turns
+CELLS = (1, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40)  # on which straight lines may be what a prediction reads of u
+WIDE = 10.0  # spans of u in the data, as far as the domain's moments let u go from node to node
 PENDING = 2000  # calls above the tolerance by COARSE steps that are counted at once by FINE ones
 WORST, SAMPLE = 10, 10  # calls above the tolerance that are integrated by DOP853: the worst, and random ones
 STATES = ("box", "data", "domain")
 PAPER = "pipeline/paper.toml"
 UNICYCLE = {"model": "pipeline/unicycle.toml:deeponet", "tolerance": 0.05}
 TABLE: list[dict[str, Any]] = [
-    {"nx": nx, "states": states} | network
+    network | {"states": states}
     for network in [
         *({"model": f"{PAPER}:{name}", "nx": nx} for name in ("deeponet", "fno") for nx in (21, 51, 101)),
         {"model": "pipeline/chemostat.toml:deeponet", "nx": 51},
         UNICYCLE | {"nx": 51},
     ]
-    for nx in [network["nx"]]
-    for states in ("box", "data")
+    for states in ("box", "data", "domain")
 ]
-HEAD = ["network, nodes", "where X", "calls", "passed", "of these above", "above 2", "worst", "DOP853 agrees"]
+HEAD = ["network, nodes", "where X", "calls", "passed", "above", "above 2", "readings agree", "above", "worst"]
+HEAD += ["DOP853 agrees"]
 
 
 class System(NamedTuple):
@@ -149,12 +159,15 @@ class Calls(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """Of each call whether it passed, the guard's estimate, the error of U, and the score of the search, (B,) each."""
+    """Of each call whether it passed, the guard's estimate, the error of U, the score of the search, and whether the
+    readings agree, (B,) each.
+    """
 
     passed: np.ndarray
     estimate: np.ndarray
     error: np.ndarray
     score: np.ndarray
+    agree: np.ndarray
 
 
 def weights(reading: str, nx: int, places: np.ndarray, middle: float) -> np.ndarray:
@@ -285,16 +298,22 @@ def gap(U: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.abs(U - exact).max(axis=1).min(axis=0)
 
 
+def agree(exact: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether all readings' U (readings, m, ...) are within AGREE of the tolerance."""
+    return (exact.max(axis=0) - exact.min(axis=0)).max(axis=0) <= AGREE * tolerance
+
+
 @np.errstate(all="ignore")
 def judge(guard: Guarded, system: System, calls: Calls) -> Judged:
     """What the guard makes of calls, and the error of U by COARSE steps; 0 where that is not finite."""
     P = guard.model(*calls)
     estimate, fallback = guard.judge(P, *calls)
-    error = np.nan_to_num(gap(command(guard, P, calls), by_rk4(system, calls, COARSE)), nan=0.0, posinf=0.0)
+    exact = by_rk4(system, calls, COARSE)
+    error = np.nan_to_num(gap(command(guard, P, calls), exact), nan=0.0, posinf=0.0)
     ratios = estimate / guard.threshold, guard.beyond(*calls)
     doubt = sum(np.log(np.maximum(ratio, 1.0)) for ratio in ratios)
     score = np.nan_to_num(np.log(error) - PENALTY * doubt, nan=-1e9, neginf=-1e9)
-    return Judged(~fallback, estimate, error, score)
+    return Judged(~fallback, estimate, error, score, agree(exact, guard.tolerance))
 
 
 def command(guard: Guarded, P: np.ndarray, calls: Calls) -> np.ndarray:
@@ -307,8 +326,8 @@ def command(guard: Guarded, P: np.ndarray, calls: Calls) -> np.ndarray:
 
 
 class Ranges:
-    """The inputs that may be searched as coordinates z in [0, 1]^k: X, then u at the nodes, D_hat and, where the plant
-    reads a clock, the time.
+    """The inputs that may be searched as coordinates z in [0, 1]^k: X, or asinh(X / bend) in the guard's domain, then u
+    at the nodes, D_hat and, where the plant reads a clock, the time.
     """
 
     def __init__(self, guard: Guarded, data: Dataset, states: str) -> None:
@@ -319,7 +338,8 @@ class Ranges:
         elif states == "domain":
             X, u, D_hat = reach(guard, u)
         clock = np.array([[0.0], [guard.plant.period or np.nanmax(data.t)]])[:, : int(guard.plant.clocked)]
-        self.clocked = guard.plant.clocked
+        self.clocked, domain = guard.plant.clocked, guard.domain
+        self.bend = domain.bend if domain is not None and states == "domain" else None
         spans = zip(X, np.tile(u, self.nx), D_hat, clock, strict=True)
         self.low, self.high = (np.concatenate(parts) for parts in spans)
 
@@ -332,20 +352,25 @@ class Ranges:
         """The inputs of coordinates (B, k)."""
         v = self.low + (self.high - self.low) * z
         t = v[:, -1] if self.clocked else np.zeros(len(v))
-        return Calls(v[:, : self.n], v[:, self.n : self.end].reshape(-1, self.nx, self.m), v[:, self.end], t)
+        X = v[:, : self.n] if self.bend is None else self.bend * np.sinh(v[:, : self.n])
+        return Calls(X, v[:, self.n : self.end].reshape(-1, self.nx, self.m), v[:, self.end], t)
 
     def of_rows(self, data: Dataset, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
         """The nearest coordinates of calls (B, k) whose X, u, D_hat and time are those of these rows of the data."""
         inputs = grid.means(data.u[u], self.nx).reshape(len(u), -1)
         clock = (data.t[t, None] % self.high[-1])[:, : int(self.clocked)]
-        v = np.concatenate([data.X[X], inputs, data.D_hat[D_hat, None], clock], axis=1)
+        states = data.X[X] if self.bend is None else np.arcsinh(data.X[X] / self.bend)
+        v = np.concatenate([states, inputs, data.D_hat[D_hat, None], clock], axis=1)
         return np.clip((v - self.low) / np.where(self.high > self.low, self.high - self.low, 1.0), 0.0, 1.0)
 
     def starts(self, rng: np.random.Generator, data: Dataset, count: int) -> np.ndarray:
         """Rows of the data, at the nearest coordinates; half of them with X anywhere in its range."""
         z = self.of_rows(data, *[rng.integers(0, len(data), count)] * 4)
         z[::2, : self.n] = rng.uniform(size=z[::2, : self.n].shape)
-        return z
+        size = (rng.uniform(size=(count, 1)) < ROUGH) * 10 ** rng.uniform(-2.5, 0.0, (count, 1))
+        waves = rough(rng, count, self.nx)[..., None] * rng.uniform(-1, 1, (count, 1, self.m))
+        z[:, self.n : self.end] += size * waves.reshape(count, -1)
+        return np.clip(z, 0.0, 1.0)
 
 
 def edges(a: np.ndarray) -> np.ndarray:
@@ -354,14 +379,44 @@ def edges(a: np.ndarray) -> np.ndarray:
 
 
 def reach(guard: Guarded, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The box around the ellipsoid that the guard takes for the data's: X (2, n), u (2, m) and D_hat (2, 1)."""
+    """The box around the guard's domain: asinh(X / bend) (2, n), u (2, m) and D_hat (2, 1)."""
     domain, (n, m) = guard.domain, (guard.plant.n, guard.plant.m)
     assert domain is not None
     spread = domain.limit * np.sqrt(np.diag(np.linalg.inv(domain.whiten.T @ domain.whiten)))
-    features = domain.mean + np.array([[-1.0], [1.0]]) * spread
+    low = np.maximum(domain.mean - spread, domain.middle - domain.half)
+    high = np.minimum(domain.mean + spread, domain.middle + domain.half)
+    features = np.stack([low, high])
     means = features[:, n + 1 : n + 1 + 3 * m : 3]  # the first Legendre moment of each input, its mean over x
     u = np.stack([np.minimum(u[0], means[0]), np.maximum(u[1], means[1])])
-    return domain.bend * np.sinh(features[:, :n]), u, np.maximum(features[:, n : n + 1], 0.0)
+    u = u + np.array([[-0.5], [0.5]]) * (WIDE - 1) * (u[1] - u[0])
+    return features[:, :n], u, np.maximum(features[:, n : n + 1], 0.0)
+
+
+def rough(rng: np.random.Generator, count: int, nx: int) -> np.ndarray:
+    """Waves over the nodes, (count, nx): signs that turn after a few nodes or at random, or sines.
+
+    Half of them are without the straight lines nearest on some cells: a prediction on few steps may read these alone.
+    """
+    x, turns, first = np.arange(nx), rng.choice(TURNS, (count, 1)), rng.integers(0, max(TURNS), (count, 1))
+    waves = np.where(rng.uniform(size=(count, 1)) < 0.3, rng.choice([-1.0, 1.0], (count, nx)), 1.0)
+    waves = np.where(rng.uniform(size=(count, 1)) < 0.7, waves * (-1.0) ** ((x + first) // turns), 0.0)
+    sines = np.sin(2 * np.pi * (x * rng.uniform(0.05, 0.5, (count, 1)) + rng.uniform(size=(count, 1))))
+    waves = np.where(waves == 0, sines, waves)
+    taken, lines = slice(0, (count + 1) // 2), read_by_lines(int(rng.choice([k for k in CELLS if 2 * k < nx - 1])), nx)
+    waves[taken] -= waves[taken] @ np.linalg.pinv(lines) @ lines
+    return waves[rng.permutation(count)]
+
+
+@cache
+def read_by_lines(cells: int, nx: int) -> np.ndarray:
+    """Sums over the nodes, each of which stands for what is around it, (2 cells + 1, nx): the integrals of u and of s u
+    over each of so many cells, and that of s² u over all.
+    """
+    begins, ends = (np.clip(np.arange(nx) + side, 0, nx - 1) for side in (-0.5, 0.5))
+    edges = np.linspace(0, nx - 1, cells + 1)[:, None]
+    low, high = np.maximum(begins, edges[:-1]), np.minimum(ends, edges[1:])
+    mass = np.maximum(high - low, 0.0)
+    return np.concatenate([mass, mass * (low + high), (ends - begins)[None] * np.arange(nx) ** 2])
 
 
 def shapes(kind: str, count: int, nx: int) -> np.ndarray:
@@ -382,9 +437,10 @@ class Population:
     def __init__(self, z0: np.ndarray, ranges: Ranges, rng: np.random.Generator) -> None:
         self.ranges, self.z0, self.best, self.score = ranges, z0.copy(), z0, -np.inf
         if rng.uniform() < FLAT:
-            self.z0[ranges.n : ranges.end] = np.tile(rng.uniform(size=ranges.m), ranges.nx)
+            self.z0[ranges.n : ranges.end] = np.tile(z0[ranges.n : ranges.n + ranges.m], ranges.nx)
         kind = str(rng.choice(list(SHAPES), p=list(SHAPES.values())))
-        self.shapes = shapes(kind, int(rng.choice(NUMBERS)), ranges.nx)
+        count = int(rng.choice(NUMBERS))
+        self.shapes = rough(rng, count, ranges.nx) if kind == "rough" else shapes(kind, count, ranges.nx)
         size = len(z0) - ranges.nx * ranges.m + len(self.shapes) * ranges.m
         options = {"popsize": SIZE, "verbose": -9, "seed": np.nan, "CMA_diagonal": size > WHOLE, "maxstd": 1.0}
         options["randn"] = lambda *shape: rng.standard_normal(shape)
@@ -413,7 +469,7 @@ class Search:
     def __init__(self, guard: Guarded, system: System, data: Dataset, states: str, seed: int) -> None:
         self.guard, self.system, self.data, self.ranges = guard, system, data, Ranges(guard, data, states)
         self.rng = np.random.default_rng(seed)
-        self.made = self.passed = self.above = self.twice = 0
+        self.made = self.passed = self.above = self.twice = self.agreed = self.agreed_above = 0
         k = len(self.ranges.low)
         self.worst, self.sample = (np.zeros((0, k + 3)) for _ in range(2))  # rows z, estimate, error, a random number
         self.pending = np.zeros((0, k + 1))  # rows z, estimate
@@ -423,9 +479,10 @@ class Search:
     def score(self, z: np.ndarray) -> np.ndarray:
         """Judge and count the calls of coordinates (B, k); their scores, (B,)."""
         calls = self.ranges.calls(z)
-        passed, estimate, error, score = judge(self.guard, self.system, calls)
+        passed, estimate, error, score, alike = judge(self.guard, self.system, calls)
         above = passed & (error > self.guard.tolerance)
         self.made, self.passed = self.made + len(z), self.passed + int(passed.sum())
+        self.agreed += int((passed & alike).sum())
         self.largest = max(self.largest, error[passed & ~above].max(initial=0.0))
         self.pending = np.concatenate([self.pending, np.column_stack([z[above], estimate[above]])])
         if len(self.pending) > PENDING:
@@ -439,13 +496,12 @@ class Search:
             return
         z, estimate = self.pending[:, :-1], self.pending[:, -1]
         calls = self.ranges.calls(z)
-        error = gap(command(self.guard, self.guard.model(*calls), calls), by_rk4(self.system, calls, FINE))
+        exact = by_rk4(self.system, calls, FINE)
+        error = gap(command(self.guard, self.guard.model(*calls), calls), exact)
         error = np.nan_to_num(error, nan=0.0, posinf=0.0)
-        above = error > self.guard.tolerance
-        self.above, self.twice = (
-            self.above + int(above.sum()),
-            self.twice + int((error > 2 * self.guard.tolerance).sum()),
-        )
+        above, twice = (error > k * self.guard.tolerance for k in (1, 2))
+        self.above, self.twice = self.above + int(above.sum()), self.twice + int(twice.sum())
+        self.agreed_above += int((above & agree(exact, self.guard.tolerance)).sum())
         self.largest = max(self.largest, error.max(initial=0.0))
         kept = np.column_stack([z, estimate, error, self.rng.uniform(size=len(z))])[above]
         self.worst, self.sample = most(self.worst, kept, -2, WORST), most(self.sample, kept, -1, SAMPLE)
@@ -471,6 +527,17 @@ class Search:
             self.score(self.ranges.of_rows(self.data, *rows))
         self.count()
 
+    @np.errstate(all="ignore")
+    def answers(self, count: int) -> np.ndarray:
+        """The errors of U of the numerical predictor in those of so many calls that it answers."""
+        errors = []
+        for _ in range(-(-count // PENDING)):
+            calls = self.ranges.calls(self.ranges.starts(self.rng, self.data, PENDING))
+            calls = Calls(*(part[self.guard.fallback(*calls)] for part in calls))
+            exact = by_rk4(self.system, calls, FINE)
+            errors.append(gap(command(self.guard, self.guard.exact(*calls), calls), exact))
+        return np.nan_to_num(np.concatenate(errors), nan=0.0, posinf=0.0)
+
     def climb(self, z: np.ndarray, over: Callable[[], bool]) -> np.ndarray:
         """Random moves of each chain that are kept where the score is larger; the chains, the best first."""
         score = self.score(z)
@@ -490,6 +557,8 @@ class Search:
         parts, x = rng.uniform(size=(3, count, 1)) < 0.5, np.linspace(0.0, 1.0, nx)
         center, width = rng.uniform(size=(count, 1)), (1 / nx) ** rng.uniform(size=(count, 1))
         shape = np.where(rng.uniform(size=(count, 1)) < 0.5, np.exp(-(((x - center) / width) ** 2)), x > center)
+        waves, part = rough(rng, count, nx), rng.uniform(size=(count, 1))
+        shape = np.where(part < ROUGH / 2, waves, np.where(part < ROUGH, shape * waves, shape))
         u = z[:, n : self.ranges.end].reshape(count, nx, m)
         places = np.clip(np.arange(nx) + rng.integers(-2, 3, (count, 1)), 0, nx - 1)
         u = np.where(rng.uniform(size=(count, 1, 1)) < 0.1, np.take_along_axis(u, places[..., None], 1), u)
@@ -530,13 +599,19 @@ def most(rows: np.ndarray, others: np.ndarray, column: int, count: int) -> np.nd
     return both[np.argsort(-both[:, column])[:count]]
 
 
-def row(options: argparse.Namespace) -> list[str]:
-    """Search one setting: what the table says of it."""
+def prepared(options: argparse.Namespace) -> Search:
+    """The search of one setting."""
     network = npred.load(options.model, nx=options.nx, store=options.store, runtime="fused")
     guard = Guarded(network, options.tolerance)
     data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
-    search = Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
-    judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, data, 2)))  # compiles
+    return Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
+
+
+def row(options: argparse.Namespace) -> list[str]:
+    """Search one setting: what the table says of it."""
+    search = prepared(options)
+    guard = search.guard
+    judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, search.data, 2)))  # compiles
     if options.recombined:
         search.recombine(options.recombined)
     else:
@@ -552,7 +627,8 @@ def row(options: argparse.Namespace) -> list[str]:
         worst += f" (X = ({X}), D̂ = {at.D_hat[0]:.3g}: estimate {search.worst[0, -3]:.2g})"
     agrees = f"{(exact > guard.tolerance).sum()} of {len(exact)}"
     agrees += f", to {np.max(np.abs(errors / exact - 1)):.0e}" if len(exact) else ""
-    counts = [f"{k:,}".replace(",", " ") for k in (search.made, search.passed, search.above, search.twice)]
+    numbers = (search.made, search.passed, search.above, search.twice, search.agreed, search.agreed_above)
+    counts = [f"{k:,}".replace(",", " ") for k in numbers]
     return [f"`{Path(options.model).name}`, {options.nx}", options.states, *counts, worst, agrees]
 
 
@@ -566,10 +642,16 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="of a search; its DOP853 comes after it")
     parser.add_argument("--calls", type=float, default=np.inf, help="after which it ends too: the same on any machine")
     parser.add_argument("--recombined", type=int, default=0, help="instead of a search so many rows of the data, mixed")
+    parser.add_argument("--answers", type=int, default=0, help="instead: errors of the numerical answers to such calls")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--store", type=Path, default=None)
     parser.add_argument("--output", type=Path, help="a .npz for the calls that DOP853 looked at")
     options = parser.parse_args()
+    if options.answers:
+        errors = prepared(options).answers(options.answers)
+        above = f"{(errors > options.tolerance).mean():.2%} of them wrong by more than {options.tolerance:g}"
+        print(f"{len(errors)} calls answered, {above}, the largest by {errors.max():.2g}")
+        return
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}", flush=True)
     for setting in TABLE if options.table else [{}]:
         cells = row(argparse.Namespace(**vars(options) | setting))

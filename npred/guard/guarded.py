@@ -37,7 +37,8 @@ class Guarded(Predictor):
     """`model`, with its error in U estimated in every call; `exact` answers where that may be above `tolerance`.
 
     `tolerance` is in units of U, the largest |kappa(P̂(1)) - kappa(P(1))| over the inputs that is to pass; the model
-    answers where 1.25 times the estimate is within it. A pass is an estimate, not a bound (docs/guard.md). Shadows,
+    answers where 1.25 times the estimate is within it. A pass is an estimate, not a bound, and an answer of `exact` has
+    the error of its nodes, which `tolerance` does not limit (docs/guard.md). Shadows,
     predictions on few intervals to which local errors are added with different signs, estimate it: the distance of U
     from the first of them, and how far they come apart. Where that does not decide, they are taken on more intervals.
     The method (RK4, or an implicit one where the plant is stiff), the intervals, and what `exact` is by default follow
@@ -193,7 +194,7 @@ class Guarded(Predictor):
         """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""
         if self.domain is None:
             return np.zeros(len(X))
-        return self.domain.distance(X, u, D_hat, self.plant.phase(t)) / self.domain.limit
+        return self.domain.distance(X, u, D_hat, self.plant.phase(t))
 
     def judge(
         self, P_hat: ArrayLike, X: ArrayLike, u: ArrayLike, D_hat: ArrayLike, t: ArrayLike = 0.0
@@ -221,7 +222,9 @@ class Guarded(Predictor):
         domain = self.domain
         head = [tolerance, np.inf if domain is None else domain.limit.item(), len(levels), *levels]
         head += [0.0] * (HEAD - len(head))
-        return np.concatenate([head, *((domain.bend, domain.mean, domain.whiten.T.ravel()) if domain else ())])
+        if domain is None:
+            return np.array(head)
+        return np.concatenate([head, domain.bend, domain.mean, domain.middle, domain.half, domain.whiten.T.ravel()])
 
 
 def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..., None]:
@@ -235,8 +238,8 @@ def kernel(plant: Plant, exact: Predictor, method: type[OneStep]) -> Callable[..
     def work(nx: int, lanes: int, settings: np.ndarray) -> int:
         finest = int(settings[3:HEAD].max()) + 1
         side = shadows + (cells and signed)
-        one = n + nx * (m + n) + 2 * (nx + 1) * m + m * side  # a lane, and what its levels share
-        grid = finest * (2 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
+        one = n + nx * (m + n) + 3 * (nx + 1) * m + m * side  # a lane, and what its levels share
+        grid = finest * (3 * m + side * (2 * (m + signed) + n)) + side * (n + 1)
         rest = [part.work(max(nx, finest), max(lanes, side), None) for part in compiled.values()]
         return len(POINTERS) + m * lanes + one + grid + max(0, *rest, 0)
 
@@ -266,7 +269,8 @@ def guarded(model: Predictor, tolerance: float = 0.01, *, exact: Predictor | Non
     """`model`, checked in every call: `exact` answers where |kappa(P̂(1)) - kappa(P(1))| is estimated to be above
     `tolerance`; see Guarded.
 
-    A pass is an estimate, not a bound: docs/guard.md says what an adversary finds.
+    A pass is an estimate, not a bound, and `tolerance` does not limit the error of `exact`: docs/guard.md says what an
+    adversary finds.
 
     Parameters
     ----------

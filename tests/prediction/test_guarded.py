@@ -8,6 +8,7 @@ from follower import follower
 from guard_samples import BOX, NX, PLANT, Wrong, rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors.numpy import load_file, save_file
 from scipy.integrate import solve_ivp
 from stiff_plants import Sprung
 from varying_delays import with_delay
@@ -18,23 +19,23 @@ from npred.base import grid
 from npred.base.errors import ConfigError
 from npred.guard.guarded import Guarded, bare
 from npred.loop import metrics
-from npred.networks.domain import Domain
+from npred.networks.domain import FILE, Domain, _features, legendre
 from npred.plants import Plant
 from npred.prediction.methods import RK4, Predictor
 from npred.prediction.methods.coarse import Coarse, straight
 from npred.prediction.methods.semi_implicit import SemiImplicit
 
 
-def referee(X, u, D_hat):
+def referee(X, u, D_hat, plant=PLANT):
     """kappa(P(1)) of all rows by SciPy, u linear between nodes."""
     nodes = grid.nodes(NX)
 
     def f(x, P):
         inputs = np.array([np.interp(x, nodes, row) for row in u[:, :, 0]])[:, None]
-        return (D_hat[:, None] * PLANT.f(P.reshape(X.shape), inputs, 0.0)).ravel()
+        return (D_hat[:, None] * plant.f(P.reshape(X.shape), inputs, 0.0)).ravel()
 
     end = solve_ivp(f, (0, 1), X.ravel(), rtol=1e-10, atol=1e-12, max_step=0.02).y[:, -1]
-    return PLANT.kappa(end.reshape(X.shape), 0.0)
+    return plant.kappa(end.reshape(X.shape), 0.0)
 
 
 @pytest.mark.parametrize("size", [0.05, 0.3])
@@ -191,6 +192,52 @@ def test_how_u_may_be_read_counts_as_far_as_it_moves_U():
     assert (moved > 0.8 * apart).all() and np.median(moved - spread) > 0.3 * np.median(apart)
 
 
+def test_a_feature_out_of_its_range_is_outside_although_one_far_row_stretches_the_ellipsoid():
+    X, u, D_hat = rows(400)
+    u[0] += 30.0
+    data = type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(len(X))})()
+    model = npred.predictor("heun", PLANT, NX)
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: [data], X.std(axis=0), PLANT.phase)})()
+    guarded, longer = Guarded(model, 0.05), np.array([3.0])
+    assert not guarded.fallback(X[1], u[1], D_hat.max() + 0.2)
+    features = _features(X[1:2], u[1:2], longer, None, guarded.domain.bend)
+    assert np.linalg.norm((features - guarded.domain.mean) @ guarded.domain.whiten.T) < guarded.domain.limit
+    assert guarded.beyond(X[1:2], u[1:2], longer, np.zeros(1)) > 1 and guarded.fallback(X[1], u[1], 3.0)
+
+
+class Squared:
+    """A plant that is not affine in its input."""
+
+    states, inputs, guess = ("a", "b"), ("v",), (0.0, 0.0)
+    f = lambda x, u, t, p, M: [x.b - x.a, u.v**2 - x.b + 0.2 * u.v * x.a]
+    kappa = lambda x, t, p, M: [-x.a - x.b]
+
+
+def rough(plant, size):
+    """A guard of a model that reads lines on 4 cells, and calls X, u, D_hat. u turns from node to node; neither
+    the straight lines of the level that decides nor the moments of the domain tell of that.
+    """
+    X, u, D_hat = rows(200)
+    data = type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(len(X))})()
+    model = Coarse(plant, RK4, 4, NX)
+    model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: [data], X.std(axis=0), plant.phase)})()
+    guarded = Guarded(model, 0.01)
+    lines = straight(np.eye(NX)[..., None], guarded.reference[1][1])[..., 0]
+    lines = np.concatenate([lines, legendre(NX).T], axis=1)
+    turns = np.random.default_rng(3).choice([-1.0, 1.0], (len(X), NX))
+    turns -= turns @ lines @ np.linalg.pinv(lines)
+    return guarded, (X, u + size * turns[..., None], D_hat)
+
+
+@pytest.mark.parametrize("plant, size", [(PLANT, 4.0), (Plant("squared", Squared), 0.3)], ids=["affine", "not affine"])
+def test_inputs_that_are_rough_between_the_shadows_lines_pass_only_where_U_hardly_moves(plant, size):
+    guarded, calls = rough(plant, size)
+    wrong = np.abs(plant.kappa(guarded.model(*calls)[:, -1]) - referee(*calls, plant)).max(axis=1) > 0.011
+    assert wrong.sum() > 20 and guarded.fallback(*calls)[wrong].all()
+    slight, calls = rough(plant, size / 30)
+    assert slight.fallback(*calls).mean() < 0.05
+
+
 def ends(X, u, D_hat, kind):
     """P(1) by SciPy for each reading of u."""
     nodes = grid.nodes(NX)
@@ -244,6 +291,9 @@ def test_a_domain_is_read_back_as_it_was_saved(tmp_path):
     for name in vars(domain):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(domain, name))
     assert Domain.load(tmp_path / "none") is None
+    tensors = {name: array for name, array in load_file(tmp_path / FILE).items() if name not in ("middle", "half")}
+    save_file(tensors, tmp_path / FILE)
+    assert np.isinf(Domain.load(tmp_path).half).all()  # of a network that was trained before there were ranges
 
 
 def test_errors_of_predictions_are_in_units_of_U():
@@ -353,11 +403,12 @@ class Crossed:
 
 def shadows(plant, X, u, D_hat, count, K=4):
     """kappa at the ends of the guard's shadows (K, B, m), written once more: lines on cells, RK4, the midpoint rule."""
-    h, lines, ends = D_hat[:, None] / count, straight(u, count), []
+    h, lines, ends, loss = D_hat[:, None] / count, straight(u, count), [], lost(u, count)
     for k in range(K):
         x = X
         for j in range(count):
-            a, b = lines[:, 2 * j], lines[:, 2 * j + 1]
+            tilt = {1: 1 / np.pi, 2: np.sqrt(1.5)}.get(k, 0.0) * np.sqrt(loss[j // 2]) if j // 2 < len(loss) else 0.0
+            a, b = lines[:, 2 * j] + (-1) ** j * tilt, lines[:, 2 * j + 1] - (-1) ** j * tilt
             k1 = plant.f(x, a)
             k2 = plant.f(x + h / 2 * k1, (a + b) / 2)
             k3 = plant.f(x + h / 2 * k2, (a + b) / 2)
@@ -366,6 +417,14 @@ def shadows(plant, X, u, D_hat, count, K=4):
             x = y + {0: 0.0, 1: -1.0, 2: 1.0, 3: sign(K * j + k)}[k] * (y - x - h * k2)
         ends.append(plant.kappa(x))
     return np.array(ends)
+
+
+def lost(u, count):
+    """The mean square of what straight lines lose of u, of each two cells, (count // 2, B, m): on 2400 places."""
+    s = (np.arange(2400) + 0.5) / 2400
+    cell, part, lines = (s * count).astype(int), (s * count % 1)[:, None], straight(u, count)
+    w = u[:, np.rint(s * (NX - 1)).astype(int)] - (1 - part) * lines[:, 2 * cell] - part * lines[:, 2 * cell + 1]
+    return [np.mean(w[:, cell // 2 == pair] ** 2, axis=1) for pair in range(count // 2)]
 
 
 def sign(number):
@@ -390,8 +449,9 @@ def test_the_estimate_is_the_gap_to_the_shadows_and_how_far_they_come_apart(leve
     expected = (gap + spread).max(axis=1)
     guarded = Guarded(Wrong(plant), 1.25 * np.median(expected))  # what passes is 0.8 of the tolerance
     _, estimate, fallback = guarded._run(guarded._set(guarded.threshold, levels), P, X, u, D_hat, 0.0)
-    np.testing.assert_allclose(estimate, expected, rtol=1e-9)
-    np.testing.assert_array_equal(fallback, expected > np.median(expected))
+    np.testing.assert_allclose(estimate, expected, rtol=1e-5)  # `lost` is by quadrature
+    clear = np.abs(expected / np.median(expected) - 1) > 1e-5
+    np.testing.assert_array_equal(fallback[clear], (expected > np.median(expected))[clear])
     assert 0.1 < np.median(spread.max(axis=1) / expected) < 0.9  # both parts count
     assert 0.1 < np.mean((gap + spread).argmax(axis=1)) < 0.9  # and both inputs
 

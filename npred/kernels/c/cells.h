@@ -1,6 +1,8 @@
 /* Inputs on few cells, read from the nodes. Positions are counted in nodes, and a node stands for the cell around it.
- * mass and turn (nx + 1, m, lanes): the integrals of u and of s u from 0 to where the cell of node j begins. */
-static inline void integrals(Shape d, int m, const double *restrict u, double *restrict mass, double *restrict turn)
+ * mass, turn and square (nx + 1, m, lanes): the integrals of u, s u and u² from 0 to where the cell of node j begins;
+ * second (m, lanes): the sum of j² u of all nodes j, half of the last one's. Both of these are left out if they are NULL. */
+static inline void integrals(Shape d, int m, const double *restrict u, double *restrict mass, double *restrict turn,
+                             double *restrict square, double *restrict second)
 {
     const int last = d.nx - 1;
     const ptrdiff_t row = (ptrdiff_t)m * d.lanes;
@@ -8,6 +10,11 @@ static inline void integrals(Shape d, int m, const double *restrict u, double *r
         mass[a] = turn[a] = 0.0;
         mass[row + a] = 0.5 * u[a];
         turn[row + a] = 0.125 * u[a];
+        if (square) {
+            square[a] = 0.0;
+            square[row + a] = 0.5 * u[a] * u[a];
+            second[a] = 0.5 * (double)last * (double)last * u[last * row + a];
+        }
     }
     for (int j = 1; j < last; j++) { /* sums of all inputs side by side */
         const double *v = u + j * row;
@@ -15,16 +22,25 @@ static inline void integrals(Shape d, int m, const double *restrict u, double *r
         for (ptrdiff_t a = 0; a < row; a++) {
             whole[row + a] = whole[a] + v[a];
             lever[row + a] = lever[a] + (double)j * v[a];
+            if (square) {
+                square[(j + 1) * row + a] = square[j * row + a] + v[a] * v[a];
+                second[a] += (double)j * (double)j * v[a];
+            }
         }
     }
     for (ptrdiff_t a = 0; a < row; a++) {
         mass[d.nx * row + a] = mass[last * row + a] + 0.5 * u[last * row + a];
         turn[d.nx * row + a] = turn[last * row + a] + (0.5 * (double)last - 0.125) * u[last * row + a];
+        if (square) {
+            square[d.nx * row + a] = square[last * row + a] + 0.5 * u[last * row + a] * u[last * row + a];
+        }
     }
 }
 
-/* v (2 count, m, lanes): begin and end of the straight line on each cell that is nearest to u in the mean square. */
-static inline void lines_on_cells(Shape d, int m, int count, const double *u, const double *mass, const double *turn, double *v)
+/* v (2 count, m, lanes): begin and end of the straight line on each cell that is nearest to u in the mean square. With
+ * `square`, rest (count, m, lanes) is the integral of the squared difference of u from it. */
+static inline void lines_on_cells(Shape d, int m, int count, const double *u, const double *mass, const double *turn,
+                                  const double *square, double *v, double *rest)
 {
     const int last = d.nx - 1;
     const ptrdiff_t row = (ptrdiff_t)m * d.lanes;
@@ -42,6 +58,10 @@ static inline void lines_on_cells(Shape d, int m, int count, const double *u, co
             const double mean = whole / wide, half = 6.0 * lean / (wide * wide);
             begin[k] = mean - half;
             end[k] = mean + half;
+            if (square) {
+                const double whole_square = square[j * row + k] - square[i * row + k] + b * u_j * u_j - a * u_i * u_i;
+                rest[cell * row + k] = larger(whole_square - wide * (mean * mean + half * half / 3.0), 0.0);
+            }
         }
     }
 }

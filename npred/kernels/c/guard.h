@@ -2,8 +2,9 @@
  *
  * SHADOWS predictions by REFERENCE on a few intervals stand side by side. The first is the reference. With SIGNED the
  * others add the local error of each step, with a sign that differs from shadow to shadow and from interval to
- * interval. How far they come apart in U is what the reference may err by: the plant itself says how much an error
- * grows, and errors of different intervals do not cancel in all shadows. With gap = |U - R|, R extrapolated from U_0 of
+ * interval, and two of them read u as rough as it is between the lines. How far they come apart in U is what the
+ * reference may err by: the plant itself says how much an error grows, and errors of different intervals do not cancel in
+ * all shadows. With gap = |U - R|, R extrapolated from U_0 of
  * this level and B of the one before, of half as many intervals, and spread = 2 max_k |U_k - U_0| + |U_0 - B|, P passes
  * where gap + spread is within the tolerance, EXACT answers where gap - spread is above it, and in between the next
  * level is asked.
@@ -59,27 +60,55 @@ static inline void PART(_read)(int rows, int ends, int side, const double *lines
     }
 }
 
+/* Two shadows read u as rough as it is. A straight line loses the rest w of u on its cell, and the line of a finer grid may
+ * lose it too, so that no difference of grids tells it. On two cells each the lines of these shadows rise and fall by a tilt
+ * in turn, which has no mean and no lever there. Inside the cell w moves the states by its integral, at most h / (2 pi) |w|
+ * in the mean square: with RK4 the steps of shadow 1 are the midpoint rule's, which it moves by h / 2 times its tilt. Where
+ * f is not affine in u, w counts by its square: shadow 2 takes a third of the square of its tilt, and half of that of w is
+ * due. rest (count, M): the integral of w² on each cell; overwritten. */
+static inline void PART(_roughen)(int count, int side, double wide, double *rest, double *v)
+{
+    for (int pair = 0; pair < count / 2; pair++) { /* apart from the next loop, so that roots are taken side by side */
+        for (int c = 0; c < M; c++) {
+            rest[pair * M + c] = sqrt(0.5 / wide * (rest[2 * pair * M + c] + rest[(2 * pair + 1) * M + c]));
+        }
+    }
+    for (int pair = 0; pair < count / 2; pair++) {
+        for (int c = 0; c < M; c++) {
+            const double tilts[] = {rest[pair * M + c] / 3.141592653589793, rest[pair * M + c] * 1.224744871391589};
+            double *at = v + ((ptrdiff_t)4 * pair * ROW + c) * side + 1;
+            for (int row = 0; row < 4; row++, at += ROW * side) {
+                at[0] += row % 3 == 0 ? tilts[0] : -tilts[0];
+                at[1] += row % 3 == 0 ? tilts[1] : -tilts[1];
+            }
+        }
+    }
+}
+
 /* U (M, side) of the first `side` shadows Q (count + 1, N, side) on `count` intervals, from X (N) and u (nx, M) of one
  * lane. With `few` above 0 the last lane is instead the reference on so many intervals: it goes beside the first steps of
  * the shadows, and then stands still. Each step waits for the one before, so that a lane more takes no longer. */
 static inline void PART(_shadows)(Shape one, int count, int few, int side, const double *X, const double *u,
                                   double D_hat, double t, const double *p, const double *mass, const double *turn,
-                                  double *U, double *Q, double *scratch, double *work)
+                                  const double *square, double *U, double *Q, double *scratch, double *work)
 {
     const int rows = ON_CELLS ? 2 * count : count + 1;
     const double share = (double)few / (double)count;
-    double *lines = scratch, *v = lines + rows * M, *x = v + rows * ROW * side;
+    double *lines = scratch, *rough = lines + rows * M, *v = rough + count * M, *x = v + rows * ROW * side;
     double *span = x + N * side, *rest = span + side;
     Shape grid = one;
     (void)work;
     grid.lanes = side;
     grid.m = ROW;
     if (ON_CELLS) {
-        lines_on_cells(one, M, count, u, mass, turn, lines);
+        lines_on_cells(one, M, count, u, mass, turn, BESIDE ? square : NULL, lines, rough);
     } else {
         means_on_nodes(one, M, count, u, mass, lines);
     }
     PART(_read)(rows, ON_CELLS ? 2 : 1, side, lines, v);
+    if (BESIDE) {
+        PART(_roughen)(count, side, (double)(one.nx - 1) / (double)count, rough, v);
+    }
     for (int k = 0; k < N * side; k++) {
         x[k] = X[k / side];
     }
@@ -88,7 +117,7 @@ static inline void PART(_shadows)(Shape one, int count, int few, int side, const
     }
     if (few > 0) {
         span[side - 1] = D_hat;
-        lines_on_cells(one, M, few, u, mass, turn, lines);
+        lines_on_cells(one, M, few, u, mass, turn, NULL, lines, NULL);
         for (int k = 0; k < 2 * few * ROW; k++) {
             v[k * side + side - 1] = k % ROW < M ? lines[k / ROW * M + k % ROW] : 0.0;
         }
@@ -147,11 +176,15 @@ static inline double PART(_apart)(int side, const double *q, const double *befor
 static inline double PART(_judged)(int lanes, int side, double tolerance, const double *U, const double *A, const double *before,
                                    double ratio, double *error)
 {
-    double certain = 0.0;
+    double certain = 0.0, more = 1.0;
+    for (int k = 0; k < ORDER; k++) {
+        more *= ratio;
+    }
+    more -= 1.0;
     *error = 0.0;
     for (int c = 0; c < M; c++) {
         const double *a = A + c * side, step = a[0] - before[c];
-        const double gap = fabs(U[c * lanes] - a[0] - step / (pow(ratio, ORDER) - 1.0));
+        const double gap = fabs(U[c * lanes] - a[0] - step / more);
         double spread = 0.0;
         for (int k = 1; k < SHADOWS; k++) {
             const double apart = fabs(a[k] - a[0]);
@@ -164,32 +197,26 @@ static inline double PART(_judged)(int lanes, int side, double tolerance, const 
     return *error <= tolerance ? 0.0 : certain > tolerance ? 1.0 : DOUBT;
 }
 
-/* Whether one lane is further from the data than the limit. The features are those of npred.networks.domain: X bent, D_hat,
- * the first Legendre moments of each input, the phase. */
+/* Whether one lane is further from the data than the limit, or out of the range of a feature. The features are those of npred.networks.domain: X bent, D_hat,
+ * the first Legendre moments of each input, the phase. second (M): the integral of s² u. */
 static inline int PART(_outside)(int last, const double *X, const double *u, double D_hat, double t, const double *guard,
-                                 const double *mass, const double *turn)
+                                 const double *mass, const double *turn, const double *second)
 {
-    const double *bend = guard + HEAD, *mean = bend + N, *whiten = mean + FEATURES, length = (double)last;
-    double feature[FEATURES], component[FEATURES] = {0.0}, square[M], total = 0.0;
+    const double *bend = guard + HEAD, *mean = bend + N, *middle = mean + FEATURES, *half = middle + FEATURES;
+    const double *whiten = half + FEATURES, length = (double)last;
+    double feature[FEATURES], component[FEATURES] = {0.0}, total = 0.0;
+    int within = 1;
     for (int c = 0; c < N; c++) {
         feature[c] = asinh(X[c] / bend[c]);
     }
     feature[N] = D_hat;
     for (int c = 0; c < M; c++) {
-        square[c] = 0.5 * length * length * u[last * M + c];
-    }
-    for (int j = 1; j < last; j++) {
-        for (int c = 0; c < M; c++) {
-            square[c] += (double)j * (double)j * u[j * M + c];
-        }
-    }
-    for (int c = 0; c < M; c++) {
         const double *v = u + c, begin = v[0], end = v[last * M];
         const double first = mass[(last + 1) * M + c] / length;
-        const double second = (turn[(last + 1) * M + c] + 0.125 * (end - begin)) / (length * length);
+        const double lean = (turn[(last + 1) * M + c] + 0.125 * (end - begin)) / (length * length);
         feature[N + 1 + 3 * c] = first;
-        feature[N + 2 + 3 * c] = 2.0 * second - first;
-        feature[N + 3 + 3 * c] = 6.0 * (square[c] / (length * length * length) - second) + first;
+        feature[N + 2 + 3 * c] = 2.0 * lean - first;
+        feature[N + 3 + 3 * c] = 6.0 * (second[c] / (length * length * length) - lean) + first;
     }
     if (PHASED) {
         const double angle = 2.0 * 3.141592653589793 * t / PERIOD;
@@ -202,7 +229,10 @@ static inline int PART(_outside)(int last, const double *X, const double *u, dou
         }
         total += component[k] * component[k]; /* which is whole: whiten (transposed) is triangular */
     }
-    return !(total <= guard[LIMIT_AT] * guard[LIMIT_AT]);
+    for (int k = 0; k < FEATURES; k++) {
+        within &= fabs(feature[k] - middle[k]) <= half[k];
+    }
+    return !(within && total <= guard[LIMIT_AT] * guard[LIMIT_AT]);
 }
 
 /* The judgement of lane l, whose X (N) and u (nx, M) are x and v. */
@@ -211,17 +241,18 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
                                   double *work)
 {
     const int last = one.nx - 1, levels = (int)guard[LEVELS_AT];
-    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *A = turn + (one.nx + 1) * M, *Q = A + M * (SHADOWS + BESIDE);
-    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * (SHADOWS + BESIDE), before[M] = {0.0}, end[N];
+    double *mass = scratch, *turn = mass + (one.nx + 1) * M, *square = turn + (one.nx + 1) * M;
+    double *A = square + (one.nx + 1) * M, *Q = A + M * (SHADOWS + BESIDE);
+    double *rest = Q + ((int)guard[COUNTS_AT + levels - 1] + 1) * N * (SHADOWS + BESIDE), before[M] = {0.0}, end[N], second[M];
     const int known = guard[LIMIT_AT] < INFINITY;
     double judgement = DOUBT;
     one.lanes = 1; /* as it is: here the compiler knows it */
-    integrals(one, M, v, mass, turn);
+    integrals(one, M, v, mass, turn, square, second);
     for (int level = BESIDE; level < levels && judgement == DOUBT; level++) {
         const int count = (int)guard[COUNTS_AT + level], few = BESIDE && level == 1 ? (int)guard[COUNTS_AT] : 0;
         const int side = few > 0 ? SHADOWS + 1 : level > 0 ? SHADOWS : 1; /* of a first level the reference */
         const double *q = Q + count * N * side;
-        PART(_shadows)(one, count, few, side, x, v, D_hat, t, p, mass, turn, A, Q, rest, work);
+        PART(_shadows)(one, count, few, side, x, v, D_hat, t, p, mass, turn, square, A, Q, rest, work);
         if (few > 0) {
             PART(_keep)(SHADOWS, side, A, q, before, end);
         }
@@ -236,7 +267,7 @@ static inline double PART(_judge)(Shape one, int lanes, int l, const double *x, 
         }
         PART(_keep)(0, side, A, q, before, end);
     }
-    if (known && PART(_outside)(last, x, v, D_hat, t, guard, mass, turn)) {
+    if (known && PART(_outside)(last, x, v, D_hat, t, guard, mass, turn, second)) {
         return 1.0;
     }
     return judgement > 0.0 ? 1.0 : 0.0;

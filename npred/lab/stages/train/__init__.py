@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 STAGE = Stage(
     __name__,
-    version=2,
+    version=3,
     upstream=("generate",),
     result_class="npred.lab.config.results:Trained",
     per_network=True,
