@@ -34,6 +34,8 @@ PROGRAM = r"""
 #include <stdlib.h>
 #include <time.h>
 
+#define CALL_TIME(k) (NPRED_DT * ((double)(k) + 0.3 * (double)((k) * 7 % 11) / 11.0)) /* later by 0 to 0.27 steps */
+
 enum { TIMED = 200000 };
 static double times[TIMED];
 
@@ -68,13 +70,13 @@ int main(void)
 PLAIN = "npred_step(&c, test_X + k % 10 * NPRED_N_OUTPUTS, U)"  # the self-test begins with ten such calls
 MEASURED = """npred_step(&c, test_X + k % TEST_ROWS * NPRED_N_STATES,
                            test_u + k % TEST_U_ROWS * NPRED_NX * NPRED_M_INPUTS, U)"""
-STAMPED = "npred_step_at(&c, TIME(k), k % 10 == 9 ? NULL : test_X + k % 10 * NPRED_N_OUTPUTS, TIME(k - 4), U)"
-TIME = "#define TIME(k) (NPRED_DT * ((double)(k) + 0.3 * (double)((k) * 7 % 11) / 11.0))"  # later by 0 to 0.27 steps
+STAMPED = """npred_step_at(&c, CALL_TIME(k), k % 10 == 9 ? NULL : test_X + k % 10 * NPRED_N_OUTPUTS,
+                              CALL_TIME(k - 4), U)"""
 
 
 def measure(folder: Path, flags: list[str], step: str) -> dict[str, float]:
     """Median, 99.9 % quantile and longest time of a step in µs of the files in a folder."""
-    (folder / "main.c").write_text(f"{TIME}\n{PROGRAM.replace('STEP;', f'{step};')}")
+    (folder / "main.c").write_text(PROGRAM.replace("STEP;", f"{step};"))
     command = ["cc", "-std=gnu99", *flags, "main.c", "-o", "main", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
     output = subprocess.run(["./main"], cwd=folder, check=True, capture_output=True, text=True).stdout

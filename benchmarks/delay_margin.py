@@ -9,8 +9,10 @@ FAR times the first one there, as in a cycle that bounds of U limit. Nothing of 
 of D_hat grow from 1 % of D until a loop is lost, and that interval is divided until it is narrower than 0.05 % of the
 error.
 
---gain: of the paper's plant, D = 1 s, the largest |X - X*| per unit of a small oscillating error e of U = kappa(P(1))
-over its frequencies, for constant D_hat, by the linearised loop. A constant error gives metrics.gain.
+--gain: of the paper's plant, D = 1 s, how far an error e of U = kappa(P(1)) moves the loop. By the linearised loop:
+the largest |X - X*| per unit of a small e that oscillates, over its frequencies, for constant D_hat; a constant e gives
+metrics.gain. By simulation: square waves at constant D_hat, and a constant e with the paper's law, from 64 starts of
+the box, where e moves D_hat too.
 """
 
 import argparse
@@ -21,6 +23,7 @@ from scipy.linalg import expm
 import npred
 from npred.loop import metrics
 from npred.plants import Plant
+from npred.prediction.methods.base import Predictor
 
 
 class TwoDelays:
@@ -108,6 +111,61 @@ def gains() -> None:
             values = amplitudes(plant, D, D_hat, actuator == "measured")
             k = int(np.argmax(values))
             print(f"{D_hat:5g}  {actuator:8}  {values[k]:15.1f}  {FREQUENCIES[k]:9.3f}")
+    simulated_gains(plant, metrics.gain(plant))
+
+
+SIZES, FREQUENCY = (0.001, 0.002, 0.005, 0.01), 0.464  # of e; rad/s, where D_hat = 1.5 s amplifies most
+
+
+class Off(Predictor):
+    """RK4, its P(1) moved along the gradient of kappa until kappa(P(1)) is off by e."""
+
+    name = "off"
+
+    def __init__(self, plant: Plant, e: float) -> None:
+        super().__init__(plant, 101)
+        self.exact, self.e = npred.predictor("rk4", plant, 101), e
+
+    def predict(self, X, u, D_hat, t):
+        """P, (B, nx, n)."""
+        P, kappa = self.exact(X, u, D_hat, t), self.plant.kappa
+        end, goal = P[:, -1], kappa(P[:, -1]) + self.e
+        for _ in range(8):  # Newton
+            K = np.reshape(self.plant.kappa_jacobian(end), end.shape)
+            end = end + K * (goal - kappa(end)) / (K**2).sum(axis=-1, keepdims=True)
+        P[:, -1] = end
+        return P
+
+
+def simulated_gains(plant: Plant, gain: float) -> None:
+    """Print what loops do with errors of different sizes."""
+    kappa = plant.declaration.kappa
+    print(f"square wave of {FREQUENCY} rad/s and size e, 200 s from rest, u measured: |X - X*| / (gain e)")
+    for D_hat in HELD:
+        shown = []
+        for e in SIZES:
+
+            def off(x, t, p, M, e=e):
+                return [kappa(x, t, p, M)[0] + M.where(M.sin(FREQUENCY * t) > 0, e, -e)]
+
+            wrong = plant.controlled(off)
+            start = {"X0": plant.equilibrium, "u0": plant.u_equilibrium, "D_hat": D_hat, "adaptation": None}
+            loop = npred.simulate(
+                wrong, npred.predictor("rk4", wrong, 101), D=1.0, t_end=200.0, dt=0.01, progress=False, **start
+            )
+            shown.append(f"{np.abs(loop.X[-5000:] - plant.equilibrium).max() / gain / e:.3g} at {e:g}")
+        print(f"  D_hat = {D_hat:g}: {', '.join(shown)}", flush=True)
+    print("constant e, the paper's law, D_hat(0) = 2 s, 64 starts of the box, 100 s: |X - X*| / (gain |e|), last 10 s")
+    X0 = np.random.default_rng(0).uniform(*np.array([plant.box[name] for name in plant.states]).T, (64, plant.n))
+    law = npred.DelayAdaptation(gamma=1000.0, bounds=(0.1, 4.0))
+    for e in [side * e for e in SIZES for side in (-1, 1)]:
+        loop = npred.simulate(
+            plant, Off(plant, e), D=1.0, D_hat=2.0, X0=X0, t_end=100.0, dt=0.02, adaptation=law, progress=False
+        )
+        ends = np.abs(loop.X[:, -500:] - plant.equilibrium).max(axis=(1, 2)) / gain / abs(e)
+        estimates = f"D_hat from {loop.D_hat[:, -1].min():.2f} to {loop.D_hat[:, -1].max():.2f} s"
+        far = f"above 1.5 in {(ends > 1.5).sum()} loops"
+        print(f"  e = {e:g}: median {np.median(ends):.2f}, largest {ends.max():.3g}, {far}; {estimates}", flush=True)
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Delay laws where nobody measures the actuator: how many loops they keep, and how well they know the delay.
 
-    python benchmarks/unmeasured.py [loops] [map] [plants] [reality] [sampled] [held_out] [moving] [steps] [cost]
+    python benchmarks/unmeasured.py [loops] [map] [plants] [reality] [sampled] [held_out] [moving] [rest] [steps] [cost]
 
 One thread; all tables, the default, take some minutes. A loop is kept that ends within 1 % of the size of its target
 (over the last tenth), and in a real loop, where noise and disturbances remain, within a fifth of it. A jump of D is
@@ -247,6 +247,20 @@ def moving_table() -> str:
     return columns(["three D_hat(0)", "law", "farthest from 10 s on", "over the last 10 s"], rows)
 
 
+def rest_table() -> str:
+    """The observers where D jumps from 1 s at rest: the distance from rest, without and with a pulse at the input."""
+    rows = []
+    for to, pulse in itertools.product((0.3, 0.5, 1.5, 2.0, 2.5, 3.0), (0.0, 0.01)):
+        run = simulated(
+            PLANT, "observers, own commands", D=lambda t, to=to: to if t >= JUMP else 1.0, D_hat=2.0, X0=[0.03, 30.0],
+            dt=0.01, t_end=150.0, disturbance=lambda t, pulse=pulse: [pulse if 60 <= t < 61 else 0.0],
+        )  # fmt: skip
+        distance = np.abs(run.X - PLANT.equilibrium).max(axis=-1)
+        values = distance[run.t >= JUMP].max(), distance[run.t >= 140].max()
+        rows.append([f"{to:g} s", f"{pulse:g}", *(f"{value:.1e}" for value in values), f"{run.D_hat[-1]:.4f} s"])
+    return columns(["D from 30 s on", "pulse at 60 s", "farthest", "over the last 10 s", "D_hat at 150 s"], rows)
+
+
 def steps_table() -> str:
     """D_hat after 25 s of the law L1 at smaller and smaller control steps, D = 1 s."""
     rows = []
@@ -296,6 +310,7 @@ TABLES = {
     "sampled": sampled_table,
     "held_out": partial(sampled_table, 10000),
     "moving": moving_table,
+    "rest": rest_table,
     "steps": steps_table,
     "cost": cost_table,
 }

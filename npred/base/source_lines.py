@@ -1,6 +1,8 @@
 """File and line of code that a user wrote, and a failure of it in one line."""
 
 import inspect
+import linecache
+import re
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,6 +29,26 @@ def last_line(error: BaseException, file: str) -> str:
     """ ":12", the last line of that file that the failure went through; else ""."""
     theirs = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     return f":{theirs[-1]}" if theirs else ""
+
+
+def called(error: BaseException, function: Callable[..., Any]) -> str:
+    """The name of what the last such line called when it failed, as it is written there: np.sin; else ""."""
+    code = _code(function)
+    frames = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if code and frame.filename == code.co_filename
+    ]
+    if not frames or frames[-1].lineno is None or frames[-1].colno is None:
+        return ""
+    text = linecache.getline(frames[-1].filename, frames[-1].lineno).encode()[frames[-1].colno :].decode()
+    call = re.match(r"([\w.]+)\(", text)
+    return call[1] if call else ""
+
+
+def library(error: BaseException) -> str:
+    """The package outside npred that the failure was raised in, where that is one that was installed; else ""."""
+    frame = [*traceback.walk_tb(error.__traceback__)][-1][0]
+    installed = "site-packages" in frame.f_code.co_filename
+    return str(frame.f_globals.get("__name__", "")).partition(".")[0] if installed else ""
 
 
 def one_line(error: BaseException) -> str:

@@ -18,7 +18,7 @@ TEXTS = {
     name: f"M.{name}({', '.join(f'{{{k}}}' for k in range(op.text.count('{')))})"
     for name, op in OPS.items()
     if name in FUNCTIONS
-} | {"where": "M.where({0}, {1}, {2})"}
+} | {"where": "M.where({0}, {1}, {2})", "interp": "M.interp({0}, {1})"}
 
 
 @dataclass(frozen=True)

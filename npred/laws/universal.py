@@ -11,7 +11,7 @@ from npred.formulas.tape import M, names
 from npred.formulas.trace import python
 from npred.laws.design import SAMPLES, Design
 from npred.laws.law import Law, rounded, written
-from npred.laws.regulator import gains
+from npred.laws.regulator import gains, weights
 from npred.plants.base import Plant
 
 LQR = "lqr"  # the V of the regulator's Riccati equation
@@ -25,7 +25,8 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     Sontag (Systems & Control Letters 13, 1989, 117-123) has ε = 0, s = 1, and no derivative where it rests. Here s are
     the inputs' sizes squared, ε is SMOOTH of the usual size of (a, β) on the box, and g the gain, doubled from 1/2,
     with which the linear law -g s b' makes V fall near rest: V' < 0 wherever a < 0, or β sqrt(a² + β² + ε²) > a ε / g.
-    With V = "lqr" the law is that of the regulator near rest.
+    With V = "lqr" the root is that of a² + q β + ε (β / 2 + 2 q) + ε², q the regulator's e'Qe (Freeman and Primbs, CDC
+    1996, 3926-3931). Of a linear plant at rest that is the square of β / 4 + q + ε, and the law is the regulator's.
 
     Parameters
     ----------
@@ -45,14 +46,14 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
         For an f that is not affine in the inputs, and for a V that no input makes fall near rest.
     """
     design = Design(plant, "sontag")
-    value = _value(design, V)
+    value, cost = _value(design, V)
     u = design.target[1]
     velocity = design.trace.f(design.x, np.array(u, dtype=object), design.t)
     rate = programs.derivative([value], [design.t, *design.x], [1.0, *velocity])[0]
     row = [programs.derivative([value], design.x, column)[0] for column in design.B.T]
-    weights = rounded(design.sizes**2)
+    squares = rounded(design.sizes**2)
     effect: Value = 0.0
-    for b, weight in zip(row, weights, strict=True):
+    for b, weight in zip(row, squares, strict=True):
         effect = effect + weight * (b * b)
     slopes = [programs.derivative([value], design.x, unit)[0] for unit in np.eye(plant.n)]
     curvature = [y for unit in np.eye(plant.n) for y in programs.derivative(slopes, design.x, unit)]
@@ -61,7 +62,7 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     A, B = design.linearised
     # the least g = 1/2, 1, 2, … with which V falls along the linear law near rest
     for g in (0.5 * 2.0 ** np.arange(DOUBLINGS)).tolist() if np.linalg.eigvalsh(H).min() > 0 else []:
-        fall = H @ A + A.T @ H - 4 * g * (H @ B * weights) @ (B.T @ H)
+        fall = H @ A + A.T @ H - 4 * g * (H @ B * squares) @ (B.T @ H)
         if np.linalg.eigvalsh(fall).max() < 0:
             break
     else:
@@ -69,28 +70,32 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
         raise design.refusal(expected, f'pass V = "{LQR}", or another V')
     usual = np.hypot(*design.values([rate, effect], design.samples, np.zeros(SAMPLES)).T)
     small = float(f"{SMOOTH * np.nanmedian(usual):.1g}")
-    size = M.sqrt(rate * rate + effect * effect + small**2)
+    more = effect * effect if cost is None else cost * effect + small * (effect / 2 + 2 * cost)
+    size = M.sqrt(rate * rate + more + small**2)
     # where a < 0 the sum a + size cancels, and is written as the quotient that it equals
-    sum_of_both = M.where(rate < 0, (effect * effect + small**2) / (size - rate), rate + size)
+    sum_of_both = M.where(rate < 0, (more + small**2) / (size - rate), rate + size)
     pull = sum_of_both / (effect + small / g)
     return written(
-        design.trace, design.guess, [a - weight * b * pull for a, b, weight in zip(u, row, weights, strict=True)]
+        design.trace, design.guess, [a - weight * b * pull for a, b, weight in zip(u, row, squares, strict=True)]
     )
 
 
-def _value(design: Design, V: Callable[..., Any] | str | None) -> Value:
-    """V on the tape."""
+def _value(design: Design, V: Callable[..., Any] | str | None) -> tuple[Value, Value | None]:
+    """V on the tape, and e'Qe of the regulator whose V it is."""
     plant = design.plant
     if callable(V):
         p = record("Parameters", tuple(plant.parameters))(*design.trace.parameters)
-        return V(record("State", plant.states)(*design.x), design.t, p, M)
+        return V(record("State", plant.states)(*design.x), design.t, p, M), None
     if V is None and plant.declares_V:
-        return design.trace.V(design.x, design.t)
+        return design.trace.V(design.x, design.t), None
     if V not in (None, LQR):
         raise design.refusal(f'V(x, t, p, M) or "{LQR}", got {V!r}', "pass one of them")
-    S, total = rounded(gains(design)[0]), 0.0
     errors = [a - b for a, b in zip(design.x, design.target[0], strict=True)]
-    for i, row in enumerate(S):
-        for j in range(i + 1):
-            total = total + (1 if i == j else 2) * row[j] * (errors[i] * errors[j])
-    return total
+    forms = []
+    for matrix in (rounded(gains(design)[0]), weights(design)[0]):
+        total: Value = 0.0
+        for i, row in enumerate(matrix):
+            for j in range(i + 1):
+                total = total + (1 if i == j else 2) * row[j] * (errors[i] * errors[j])
+        forms.append(total)
+    return forms[0], forms[1]

@@ -261,11 +261,52 @@ def test_all_states_are_the_outputs_of_a_plant_without_output():
     assert observer.outputs == ("Z", "S") and observer.settings.shape == (2 + 4,)
 
 
+class Turning:
+    """Two offsets, of which the output reads one after the other."""
+
+    states, inputs, outputs = ("a", "b"), ("U", "V"), ("y",)
+    box = {"a": (-1.0, 1.0), "b": (-1.0, 1.0)}
+    f = lambda x, u, t, p, M: [u.U, u.V]
+    kappa = lambda x, t, p, M: [-x.a, -x.b]
+    output = lambda x, t, p, M: [M.cos(t) * x.a + M.sin(t) * x.b]
+
+
+class Led(Turning):
+    """The same, on its way along a reference."""
+
+    kappa = lambda x, t, p, M: [M.cos(t) - (x.a - M.sin(t)), -x.b]
+    reference = lambda t, p, M: [M.sin(t), 0.0]
+
+
+class Along(Turning):
+    """It turns as its output does, which reads one direction only."""
+
+    f = lambda x, u, t, p, M: [-x.b + u.U, x.a + u.V]
+
+
+@pytest.mark.parametrize("kind", [Turning, Led])
+def test_a_plant_that_outputs_tell_of_only_over_time_is_observed(kind):
+    """At each time by itself the observability matrix has rank 1 of 2: such plants were refused."""
+    plant = plant_of(kind)
+    assert np.linalg.matrix_rank(np.concatenate(EKF(plant).linearised(np.zeros(2), np.zeros(2)))) == 1
+    run = npred.simulate(
+        plant, npred.predictor("rk4", plant, nx=21), D=0.3, D_hat=0.3, X0=[0.5, -0.7], t_end=60.0, dt=0.02,
+        actuator="history", observer=EKF(plant, offset=True), disturbance=lambda t: [0.05, -0.1],
+    )  # fmt: skip
+    assert np.abs(run.X[-1] - plant.target(60.0)).max() < 0.01
+    assert np.allclose(run.clock.offset, [0.05, -0.1], atol=0.01)
+
+
+def test_a_plant_that_outputs_tell_of_only_at_frozen_times_is_refused():
+    with pytest.raises(ConfigError, match="over time of plant Along, got an observability matrix of rank 1 of 2"):
+        EKF(plant_of(Along))
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: EKF(built_in("cart_pole"), outputs=("theta",)), "rank 2 of 4; measure more"),
-        (lambda: EKF(built_in("planar_arm2"), outputs=("theta1",), offset=True), "leave the offset out"),
+        (lambda: EKF(built_in("pvtol"), outputs=("x",), offset=True), "leave the offset out"),
         (lambda: EKF(built_in("chemostat"), outputs=("X",)), "outputs: expected states, Z, S, got 'X'; name one"),
         (lambda: EKF(built_in("chemostat"), R=[1.0, 2.0], outputs=("S",)), "R expected one number or shape (1,)"),
         (lambda: EKF(built_in("chemostat"), R=0.0), "R expected variances above 0"),

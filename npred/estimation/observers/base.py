@@ -9,6 +9,7 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
+from npred.base.matrices import exponential
 from npred.formulas import Value, programs, tape
 from npred.formulas.trace import Trace, python
 from npred.kernels.formula import Formulas, vector
@@ -18,6 +19,9 @@ from npred.prediction.delays import problem
 
 POINTS = 64  # places in the box, at which the sizes of f, kappa and the outputs are looked at
 TINY = 1e-9  # relative: what is no more than a rounding error
+FIRST = 0.01  # times the fastest time constant: the first time, after 0, at which outputs over time are looked at
+GROWN = 1e6  # how far a deviation may grow meanwhile
+WEAK = 1e-2  # of the largest: below it a singular value along a reference tells an estimate too little to converge
 
 
 class Sizes(NamedTuple):
@@ -42,8 +46,9 @@ class Observer(ABC):
 
     X0 (n,) is the state to begin with. By default it is the middle of the plant's box, and for a state without a range
     there the equilibrium, or the reference at t = 0, or the guess.
-    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near the equilibrium, or,
-    of a plant that does not rest, anywhere in the box, and for settings that do not fit.
+    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near the equilibrium, by
+    all that they are over time, or, of a plant that does not rest, anywhere in the box, and for settings that do not
+    fit.
     """
 
     settings: np.ndarray  # what its kernels read as `law`
@@ -66,13 +71,9 @@ class Observer(ABC):
                 raise ConfigError(unlisted(f"{self.label}: outputs", name, plant.states, "states,"))
         self.offset = offset is not False
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
-        points = [(*self.operating_point, 0.0)]
-        if not plant.rests:
-            moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
-            points += [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
-        rank = max(self.rank(*point) for point in points)
+        rank = self._rank()
         if rank < self.size:
-            where = "at the equilibrium" if plant.rests else "in the box"
+            where = "in the box" if not plant.rests else "over time" if self._timed else "at the equilibrium"
             what = "states and offsets" if self.offset else "states"
             cure = "measure more, or leave the offset out" if self.offset else "measure more"
             what = f"expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}"
@@ -146,15 +147,50 @@ class Observer(ABC):
         C[:, :n] = np.reshape(self._output_program(*x, t, *self.plant.p)[count:], (count, n))
         return A, C
 
+    def _rank(self) -> int:
+        """How many states and offsets the outputs tell of: over time, where the plant is to be; of a plant that does
+        not rest at the best of some points of the box, too.
+        """
+        plant = self.plant
+        if plant.rests:
+            return self._rank_over_time() if self._timed else self.rank(*self.operating_point)
+        moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
+        points = [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
+        rank = max(self.rank(*point) for point in [(*self.operating_point, 0.0), *points])
+        return max(rank, self._rank_over_time()) if plant.tracks and rank < self.size else rank
+
     def rank(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> int:
         """The rank of the observability matrix near a point, in units of the sizes and of the rate."""
-        (A, C), sizes = self.linearised(x, u, t), self.sizes
-        units = np.concatenate([sizes.dx, sizes.du])[: self.size]
-        A, rows = A * units / units[:, None] / sizes.rate, [C * units / sizes.dy[:, None]]
+        A, C = self._scaled(x, u, t)
+        A, rows = A / self.sizes.rate, [C]
         for _ in range(1, self.size):
             rows.append(rows[-1] @ A)
             rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
         return int(np.linalg.matrix_rank(np.concatenate(rows), tol=TINY))
+
+    def _rank_over_time(self) -> int:
+        """The rank of C(t) Φ(t), Φ' = A(t) Φ, along the equilibrium or the reference.
+
+        At times of growing distance: an output with a period would look the same at even ones.
+        """
+        plant, flow, now = self.plant, np.eye(self.size), 0.0
+        A, C = self._scaled(*self.operating_point)
+        fastest, rows = max(self.sizes.rate, float(np.abs(np.linalg.eigvals(A)).max())), [C]
+        for t in np.geomspace(FIRST / fastest, plant.period or POINTS / self.sizes.rate, POINTS).tolist():
+            middle = (now + t) / 2
+            A, _ = self._scaled(plant.target(middle), plant.u_target(middle), middle)
+            if not np.isfinite(A).all() or not np.abs(flow := exponential(A * (t - now)) @ flow).max() < GROWN:
+                break
+            rows.append(self._scaled(plant.target(t), plant.u_target(t), t)[1] @ flow)
+            rows[-1] /= max(1.0, float(np.abs(rows[-1]).max()))
+            now = t
+        return int(np.linalg.matrix_rank(np.concatenate(rows), rtol=TINY if plant.rests else WEAK))
+
+    def _scaled(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """A and C of `linearised` in units of the sizes."""
+        (A, C), sizes = self.linearised(x, u, t), self.sizes
+        units = np.concatenate([sizes.dx, sizes.du])[: self.size]
+        return A * units / units[:, None], C * units / sizes.dy[:, None]
 
     def measured(self, X: np.ndarray, t: float = 0.0) -> np.ndarray:
         """The outputs (..., l) of states (..., n)."""
@@ -176,6 +212,12 @@ class Observer(ABC):
         outputs, by_x = self._by_state(of.trace)
         results = {"y": len(outputs), "by_x": len(by_x)}
         return of.function([*outputs, *by_x], [vector("x", self.plant.n, "1"), "t"], results, "1")
+
+    @property
+    def _timed(self) -> bool:
+        """True if time changes how the outputs depend on the state."""
+        trace = Trace(self.plant)
+        return programs.depends(self._by_state(trace)[1], [trace.input("t")])
 
     @property
     def _places(self) -> list[int]:

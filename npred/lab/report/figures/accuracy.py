@@ -188,9 +188,7 @@ def certificate(evaluation: EvaluationData) -> Figure:
     alt = "; ".join(words) + "." if words else "No network's loops stay finite."
     theory, entries = "", legend([*evaluation.loops])
     if np.isfinite(gain):  # else an error that stays takes the linearised loop out of all bounds
-        theory = (
-            f". Dotted: the radius of a constant error ε of U, {gain:.4g} ε; {gain:.4g} is the gain, the distance per ε"
-        )
+        theory = f". Dotted: the radius of a small constant error ε of U, {gain:.4g} ε; that number is the gain"
         entries.append(LegendEntry(f"constant error: {gain:.4g} ε", DOTTED))
     beside = ends(evaluation)
     others = "Distance and W" if len(beside) > 1 else "Distance"
