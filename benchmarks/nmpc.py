@@ -46,7 +46,7 @@ from typing import Any
 import acados
 import casadi as ca
 import numpy as np
-from limits import Arm, Pole
+from limits import Arm
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
@@ -89,16 +89,12 @@ class Aircraft(pvtol.PVTOL):
 
 @dataclass(frozen=True)
 class Task:
-    """A plant with limits, its delay, the bounds of its inputs, the filter's alpha, the angle that may not tip, and the
-    plant with the filter's limits, where these are others.
-    """
+    """A plant with limits, its delay, the bounds of its inputs, and the angle that may not tip."""
 
     limited: Plant
     D: float
     bounds: Sequence[tuple[float, float]]
-    alpha: float
     upright: int | None = None
-    filtered: Plant | None = None
 
     @property
     def pending(self) -> int:
@@ -107,9 +103,9 @@ class Task:
 
 
 TASKS = {
-    "cart_pole": Task(npred.plant(Cart), 0.3, [(-3.0, 3.0)], 3.0, 2, npred.plant(Pole)),
-    "pvtol": Task(npred.plant(Aircraft), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 5.0, 2),
-    "planar_arm2": Task(npred.plant(Arm), 0.1, [(-20.0, 20.0), (-10.0, 10.0)], 5.0),
+    "cart_pole": Task(npred.plant(Cart), 0.3, [(-3.0, 3.0)], 2),
+    "pvtol": Task(npred.plant(Aircraft), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 2),
+    "planar_arm2": Task(npred.plant(Arm), 0.1, [(-20.0, 20.0), (-10.0, 10.0)]),
 }
 
 
@@ -243,11 +239,11 @@ def cost_to_go(plant: Plant) -> np.ndarray:
     return solve_continuous_lyapunov(closed.T, -(np.eye(plant.n) + K.T @ K))
 
 
-def by_law(task: Task, predictor: npred.Predictor, delay: float, bounds: Any, alpha: float | None = None) -> Step:
+def by_law(task: Task, predictor: npred.Predictor, delay: float, bounds: Any, safety: Any = None) -> Step:
     plant = predictor.plant
     controller = npred.controller(
         plant, predictor, None, dt=DT, D_hat=delay, actuator="history", input_bounds=bounds, history_length=2 * task.D,
-        u0=plant.u_target(0.0), safety=npred.SafetyFilter(alpha) if alpha else None,
+        u0=plant.u_target(0.0), safety=safety,
     )  # fmt: skip
     return controller.step
 
@@ -261,7 +257,6 @@ def contenders(task: Task, bounded: bool) -> dict[str, Callable[[], Step]]:
     plant, D, nx = task.limited, task.D, task.pending + 1
     bounds = task.bounds if bounded else [(-np.inf, np.inf)] * plant.m
     rk4, euler = (npred.predictor(method, plant, nx) for method in ("rk4", "euler"))
-    filtered = npred.predictor("rk4", task.filtered or plant, nx)
     once, converged = (Problem(task, bounded, until) for until in (False, True))
     each = {
         "P = X": lambda: by_law(task, rk4, 0.0, bounds),
@@ -269,7 +264,7 @@ def contenders(task: Task, bounded: bool) -> dict[str, Callable[[], Step]]:
         "linear predictor": lambda: by_law(task, LinearPredictor(plant, nx), D, bounds),
         "RK4 predictor": lambda: by_law(task, rk4, D, bounds),
         "RK4 predictor, lqr": lambda: by_law(task, npred.predictor("rk4", designed(plant), nx), D, bounds),
-        "RK4 predictor, filter": lambda: by_law(task, filtered, D, bounds, task.alpha),
+        "RK4 predictor, filter": lambda: by_law(task, rk4, D, bounds, npred.SafetyFilter()),
         "acados, one iteration": lambda: Nmpc(once),
         "acados, converged": lambda: Nmpc(converged),
     }

@@ -39,11 +39,11 @@ loop = {
     "u0": [0.0],
 }
 free = npred.simulate(cart, rk4, **loop)
-kept = npred.simulate(cart, rk4, safety=npred.SafetyFilter(alpha=3.0), **loop)
+kept = npred.simulate(cart, rk4, safety=npred.SafetyFilter(), **loop)
 
 axes = free.plot(label="law only")
 kept.plot(ax=axes, label="with the filter")
 axes[0].axhline(1.0, color="black", linestyle=":")
 print(f"beyond the track: {-free.safety.min():.2f} m without the filter")
-print(f"left of the track: {kept.safety.min():.3f} m with it")
+print(f"left of the track: {kept.safety.min():.4f} m with it")
 assert free.safety.min() < -0.3 and kept.safety.min() > 0

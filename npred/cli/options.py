@@ -144,7 +144,7 @@ class ExportingLoop(Exporting):
         str, flag("Observer, as kind=ekf,offset=true; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
     safety: Annotated[
-        str, flag("Filter of U, as alpha=3,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
+        str, flag("Filter of U, as margin=0.1,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
     guard: Annotated[float | None, flag("Guard: the largest error of U that passes; as in evaluate.")] = None
     watchdog: Annotated[str, WATCHDOG] = ""

@@ -14,7 +14,7 @@ from npred.lab.config.section import map_paths
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import columns
 from npred.lab.stages.report import toml_text
-from npred.lab.stages.tuning import ALPHA, LAW, LqrWeights
+from npred.lab.stages.tuning import LAW, LqrWeights
 from npred.lab.stages.tuning import tune as search
 from npred.plants import Plant
 
@@ -86,7 +86,4 @@ def _pipeline(tables: dict[str, Any], pipeline: Pipeline, plant: Plant, result: 
     weights = LqrWeights.of(plant)
     if weights and weights.present.keys() & after.keys():
         changed["kappa"] = weights.table(after)
-    if ALPHA in after:
-        table = changed["evaluate"]
-        changed["evaluate"] = table | {"safety": table["safety"] | {"alpha": after[ALPHA]}}
     return toml_text.dumps(changed)

@@ -11,7 +11,7 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium
+from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, limits
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -37,6 +37,7 @@ QUESTIONS = (
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
     Check("delay margin", delay_margin.bears, delay_margin.applies),
+    Check("limits", limits.kept, limits.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
     Check("completeness", box.complete, lambda case: case.verdict("stiffness") == "yes"),

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
+from npred.base.matrices import exponential
 from npred.diagnosis.case import Case, Verdict
 from npred.plants.base import Plant, require
 
@@ -201,15 +202,3 @@ class MismatchedLoop:
             x = x + piece
             G[:, j] = np.exp(s * end)[:, None] * np.einsum("i,wij->wj", self.K[j], x)
         return G
-
-
-def exponential(A: np.ndarray) -> np.ndarray:
-    """e^A of matrices (..., n, n): the Taylor series of A / 2^k, squared k times."""
-    k = max(0, int(np.ceil(np.log2(np.abs(A).sum(axis=-1).max(initial=1e-300)))) + 1)
-    term = total = np.broadcast_to(np.eye(A.shape[-1]), A.shape)
-    for i in range(1, 19):
-        term = term @ A / (i * 2.0**k)
-        total = total + term
-    for _ in range(k):
-        total = total @ total
-    return total

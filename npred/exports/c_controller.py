@@ -21,6 +21,7 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
+COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 # The settings that a step reads
@@ -115,11 +116,11 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS_COMMANDS"] else {}
     sizes |= {"FILTER": len(z.filter)} if variants["FILTERS"] else {}
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
-    sizes |= {"ENDS": len(z.moments)} if variants["PROTECTS"] else {}
+    sizes |= {"ENDS": len(z.moments), "PLAN": len(z.plan)} if variants["PROTECTS"] else {}
     if variants["TUNABLE"]:
         sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
-    states = controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
+    states = 2 * controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 2 * settings.output_count
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
 
@@ -179,6 +180,8 @@ def _test(controller: Controller, real: str) -> str:
     vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
     single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
+    if single and controller.safety:
+        limit = max(limit, COARSE)
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
     return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors])

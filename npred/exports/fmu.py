@@ -29,7 +29,6 @@ from npred.exports import Exported, WholeController, c_controller, c_files
 from npred.guard.guarded import PASSES, Guarded, bare
 from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
-from npred.loop.safety.filter import assumed
 
 SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "windows": "windows-gnu"}  # as zig names them
@@ -319,7 +318,7 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
         yield flag("handed_over", "whether the watchdog has the command")
     if controller.safety:
         yield flag("filtered", "whether the safety filter changed U")
-        yield flag("unkept", "whether the bounds of U left no way to keep the limits")
+        yield flag("unkept", "whether no plan was found that keeps the limits")
         yield output("kept", "KEPT", "the least limit of the predicted states, safe at 0 or above")
     for name in plant.inputs if controller.settings.offsets else ():
         yield output(
@@ -341,11 +340,8 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
         about = "largest error of the command that passes the guard"
         yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
     if not hasattr(bare(predictor), "operator"):
-        decided = assumed(plant) if controller.safety else []
         for name, value in plant.parameters.items():
-            about = "parameter of plant and law"
-            about += f"; the safety filter is written for {value:g}" if name in decided else ""
-            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), about)
+            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
 
 
 def _header(controller: Controller, listed: Sequence[Variable], name: str, token: str) -> str:

@@ -25,6 +25,7 @@ AXES = {  # axes of the arrays that tell the sizes of a call, before the lanes; 
     **dict.fromkeys(("P_hat", "P"), ("nx", "n")),
     **dict.fromkeys(("held", "total"), ("rows", "m")),
     **dict.fromkeys(("spans", "moments"), ("rows",)),
+    "plan": ("plan",),
 }
 Work = Callable[[int, int, Any], int]  # doubles that a call needs, by nodes, lanes and the settings of a guard
 

@@ -26,6 +26,11 @@ from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 from npred.plants.base import Plant
 
+ON_A_CLOCK = {  # what runs on a real clock, and what to do without
+    "timing": "leave it out",
+    "observer": "step npred.controller with it, or give measurement=npred.Measurement(observer=a function of yours)",
+    "watchdog": "step npred.controller with it",
+}
 SPARE = 4  # control steps that a sample may come later than the delay of the samples
 
 
@@ -35,15 +40,16 @@ def check(loop: Loop) -> None:
         raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {loop.actuator!r}; give it')
     if loop.predictor is None:
         raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
-    serves(loop.plant)
+    serves(loop.plant, next(name for name in ON_A_CLOCK if getattr(loop, name) is not None))
     if loop.measurement.observer is not None:
         raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
 
 
-def serves(plant: Plant) -> None:
-    """Raise ConfigError for a plant that no loop on a real clock is made for."""
+def serves(plant: Plant, part: str = "timing") -> None:
+    """Raise ConfigError for a plant that no loop on a real clock, which that part needs, is made for."""
     if plant.declares_delay:
-        raise ConfigError(f"timing: expected a plant that does not declare its delay, got {plant.name}; leave it out")
+        what = f"expected a plant that does not declare its delay, got {plant.name}"
+        raise ConfigError(f"{part}: {what}; {ON_A_CLOCK[part]}")
 
 
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:

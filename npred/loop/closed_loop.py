@@ -97,7 +97,7 @@ def run(
     plant, dt, law = loop.plant, loop.dt, loop.adaptation
     loop_checks.parts(loop)
     if loop.safety is not None:
-        loop.safety.check(plant, dt)
+        loop.safety.check(plant)
     loop_checks.reality(loop)
     if loop.on_a_clock:
         clocked.check(loop)

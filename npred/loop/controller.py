@@ -106,14 +106,12 @@ class Controller(InNotebook):
             what = "expected a number above 0, or None for no limit"
             raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
         if loop.safety is not None:
-            loop.safety.check(plant, dt)
+            loop.safety.check(plant)
         if not loop.reads_commands:
             wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
-            for name in ("max_sample_age", "observer", "watchdog"):
+            for name in ("max_sample_age", "observer", "watchdog", "safety"):
                 if getattr(loop, name) is not None:
                     raise ConfigError(f"{name}: {wrong}, or no {name}")
-            if loop.safety is not None and loop.safety.delay:
-                raise ConfigError(f"safety: an uncertain delay {wrong}")
         age = OLDEST * dt if loop.max_sample_age is None else array_checks.number("max_sample_age", loop.max_sample_age)
         if not 0 <= age < math.inf:
             what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
@@ -165,7 +163,8 @@ class Controller(InNotebook):
             "guard": self.predictor.guard, "control": law.control, "update": law.update,
             "model": engine.advance_kernel(self.plant, RK4) if self._reads_commands else None,
             "follow": observer and observer.follow, "correct": observer and observer.correct,
-            "watchdog_law": watchdog and watchdog.law(self.plant), **engine.protection(self.safety, self.predictor),
+            "watchdog_law": watchdog and watchdog.law(self.plant),
+            "protect": self.safety and self.safety.kernel(self.plant),
         }  # fmt: skip
 
     def _set(self, law: Part) -> signals.Settings:
@@ -185,7 +184,7 @@ class Controller(InNotebook):
                 "jump": watchdog.jumps(plant.m),
             }  # fmt: skip
         if self.safety:
-            parts |= self.safety.settings(self.dt, limits)
+            parts |= self.safety.settings(self.plant, self.dt, limits)
         return signals.settings(
             dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
             reads_commands=self._reads_commands, stores_commands=self._reads_commands,
@@ -363,6 +362,8 @@ class Controller(InNotebook):
             remembered["missed"] = int(z.missed[0])
         if self.observer:
             remembered["filter"] = z.filter[:, 0].tolist()
+        if self.safety:
+            remembered["plan"] = z.plan[:, 0].tolist()
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
         rate = None if math.isnan(phi) else phi
@@ -412,7 +413,8 @@ class Controller(InNotebook):
     def _take_memory(self, size: int, D_hat: float) -> None:
         """The buffers of all steps: `size` numbers of an observer of the delay, commands back to the longest delay."""
         n, m, nx, longest = self.plant.n, self.plant.m, self.predictor.nx, self._loop.history_length
-        needed = max(D_hat, float(self.settings.bounds[1]) if self.adaptation else 0.0)
+        largest = 0.0 if self.plant.declares_delay else D_hat
+        needed = max(largest, float(self.settings.bounds[1]) if self.adaptation else 0.0)
         if longest is None:
             declared = self._reads_commands and self.plant.declares_delay
             longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
@@ -432,7 +434,7 @@ class Controller(InNotebook):
         if self.observer:
             arrays |= {"filter": np.array(self.observer.start(), dtype=float)[:, None]}
         sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0, "outputs": len(self.outputs), "filter": 0}
-        sizes |= self.safety.sizes(nx) if self.safety else {"ends": 0, "protected": 0}
+        sizes |= self.safety.sizes(self.plant) if self.safety else {"ends": 0, "plan": 0}
         self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
 
     def _set_memory(self, memory: signals.State) -> None:
@@ -498,14 +500,16 @@ class Controller(InNotebook):
             fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
             fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
-            fits = fits and filtered.shape == z.filter[:, 0].shape and np.isfinite(filtered).all()
+            plan = np.array(state.get("plan", np.zeros(len(z.plan))), dtype=float)
+            for one, memory in ((filtered, z.filter), (plan, z.plan)):
+                fits = fits and one.shape == memory[:, 0].shape and np.isfinite(one).all()
             if clock is not None:
                 Clock(self.plant.n, self.plant.m, len(self.outputs)).restore(clock)
         except (KeyError, TypeError, ValueError):
             fits = False
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
-        z.observer[:, 0], z.filter[:, 0], z.missed[0] = observer, filtered, missed
+        z.observer[:, 0], z.filter[:, 0], z.plan[:, 0], z.missed[0] = observer, filtered, plan, missed
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
         if clock is None:  # saved without one, by a block of python-control say

@@ -14,12 +14,10 @@ import numpy as np
 from npred.kernels import compiler
 from npred.kernels.kernel import Failure, Kernel, Shape, address, callback, skeleton
 from npred.loop import signals
-from npred.loop.safety import SafetyFilter
 from npred.loop.signals import PARTS, Events, Record, Settings, State
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.methods import RK4
-from npred.prediction.methods.base import OneStep, Predictor
+from npred.prediction.methods.base import OneStep
 
 LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "marks.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
@@ -89,7 +87,7 @@ class Engine:
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
         filters = settings.filter_count + 2 * settings.output_count
-        self._work = np.empty(max(needed, default=0) + n + 3 * m + settings.observer_count + filters)
+        self._work = np.empty(max(needed, default=0) + 2 * n + 3 * m + settings.observer_count + filters)
         self._arrays = [settings, state, *([out] if out else []), *([events] if events else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]
@@ -126,19 +124,6 @@ class Engine:
 
 
 TRUE = ("horizon", "delay_speed", "advance", "output")  # parts of the simulated plant, which may have other parameters
-
-
-def protection(safety: SafetyFilter | None, predictor: Predictor | None) -> dict[str, Callable[..., None] | None]:
-    """The parts of a step that keep limits: the filter, and the predictor of the states that it checks.
-
-    Limits are asked of a numerical prediction, also where a network gives U.
-    """
-    if safety is None or predictor is None:
-        return {"protect": None, "exact": None}
-    numerical = isinstance(predictor, OneStep)
-    other = predictor if numerical else getattr(predictor, "exact", None) or RK4(predictor.plant, predictor.nx)
-    exact = None if numerical and not safety.delay else other.lanes()
-    return {"protect": safety.kernel(predictor.plant), "exact": exact}
 
 
 @cache

@@ -172,7 +172,8 @@ def gain(plant: Plant, t_end: float = 100.0) -> float:
     """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
 
     A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
-    the radius that such an error leaves, to first order in e; one that oscillates may leave a larger one.
+    the radius that such an error leaves, to first order in e, if the loop settles. One that oscillates may leave a
+    larger one, and with a law for D_hat a constant one moves D_hat too (docs/guard.md).
     Where the plant tracks, a constant e moves the trajectory by G(t) e, with G' = (f_X + f_U kappa') G + f_U along the
     reference and G(0) = 0: the largest |G| over the last tenth of t_end seconds. Where nothing changes in time, both
     are the same.

@@ -63,11 +63,10 @@ STATE = [
     *_lane(
         "kept", "filtered", "unkept", start=0.0
     ),  # a safety filter: the least h; 1 where it changed U; 1 where in vain
+    Signal("plan", ("plan",), 0.0),  # what a safety filter means to add to kappa
     *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
-    Signal("u_moved", ("protected", "m")),  # what such a prediction reads
-    Signal("P_moved", ("protected", "n")),
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
@@ -92,7 +91,7 @@ RECORD = [
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
     Signal("filtered", ("row",), 0, "bool"),  # whether the safety filter changed U since the row before
     *_lane("changes", start=0, kind="int64"),  # the steps in which it did
-    *_lane("unkept", start=0, kind="int64"),  # the steps in which the bounds of U left it no way to keep h
+    *_lane("unkept", start=0, kind="int64"),  # the steps in which it found no plan that keeps h
 ]
 SETTINGS = [
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
@@ -162,7 +161,7 @@ PARTS = {
     "update": problem.UPDATE,
     "delay_speed": problem.SPEED, "advance": problem.ADVANCE, "model": problem.ADVANCE,
     "follow": problem.FOLLOW, "correct": problem.CORRECT_BY, "watchdog_law": problem.CONTROL, "output": problem.OUTPUT,
-    "exact": problem.PREDICT, "protect": problem.PROTECT,
+    "protect": problem.PROTECT,
 }  # fmt: skip
 
 State = namedtuple("State", [signal.name for signal in STATE])

@@ -119,7 +119,7 @@ class Simulation:
         """The sentences of a control step, on lanes, traced once for all chunks."""
         loop, truth, law = self.loop, problem_of(self.loop.real), self.law
         model = ConstantDelay(loop.plant) if self.blind else problem_of(loop.plant)
-        observer = loop.measurement.observer
+        observer, foresees = loop.measurement.observer, loop.safety or not loop.measurement.perfect
         return {
             "horizon": truth.horizon(),
             "observer": observer and sensing.observed(observer),
@@ -131,8 +131,8 @@ class Simulation:
             "update": law.update,
             "delay_speed": truth.speed(),
             "advance": engine.advance_kernel(loop.real, self.integrator),
-            **engine.protection(loop.safety, loop.predictor),
-            "model": None if loop.measurement.perfect else engine.advance_kernel(loop.plant, self.integrator),
+            "protect": loop.safety and loop.safety.kernel(loop.plant),
+            "model": engine.advance_kernel(loop.plant, self.integrator) if foresees else None,
         }
 
     def _settings(self, c: slice) -> Settings:
@@ -164,7 +164,7 @@ class Simulation:
             delays=np.array(delays[:, None, :] * plant.ratios[:, None], order="C"),
             disturbance=np.ascontiguousarray(pushes),
             samples=np.array(samples.T, order="C", dtype=np.int64),
-            **(loop.safety.settings(loop.dt, loop.input_bounds) if loop.safety else {}),
+            **(loop.safety.settings(loop.plant, loop.dt, loop.input_bounds) if loop.safety else {}),
             **sensing.settings(loop.measurement, loop.dt, c.start, plant.n),
         )
 
@@ -176,7 +176,7 @@ class Simulation:
         arrays |= {"D_seen": D.copy() if reads_commands else D}
         arrays |= {"X_hat": X, "Y": X} if loop.measurement.perfect else {"X_hat": X.copy()}
         sizes = {"n": plant.n, "m": plant.m, "nx": self.nx, "observer": self.law.memory}
-        sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "protected"), 0)
+        sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "plan"), 0)
         sizes |= {"past": round(loop.measurement.delay / loop.dt) + 1}
-        sizes |= loop.safety.sizes(self.nx) if loop.safety else {}
+        sizes |= loop.safety.sizes(loop.plant) if loop.safety else {}
         return State(**signals.memory(signals.STATE, sizes, D.shape[1], arrays))

@@ -15,7 +15,7 @@ class Status(NamedTuple):
     `missed` the last of these in a row, `renewed` how often the observer of the state was lost and began anew.
     `handed_over` says whether the watchdog has U, `offset` (m,) what an observer of the state finds at the inputs,
     `fallback` and `error` what a guard says. With a safety filter `filtered` says whether it changed U, `kept` is the
-    least h = safe(P, t) of the predicted states, and `unkept` whether the bounds of U left no way to keep the limits.
+    least h = safe(P, t) of the predicted states, and `unkept` whether it found no plan that keeps the limits.
     """
 
     D_hat: float

@@ -60,7 +60,7 @@ class Trajectories:
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
-    U was changed, likewise, and `changes` (...) in how many steps; in `unkept` (...) of them U's bounds left no way;
+    U was changed, likewise, and `changes` (...) in how many steps; in `unkept` (...) it found no plan to keep limits;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
     loops on a real clock add, else None.

@@ -252,7 +252,7 @@ def test_the_controller_has_the_filter_of_the_pipeline(tmp_path):
     (tmp_path / "cart.toml").write_text(
         'plant = "cart.py:Cart"\n[evaluate]\nX0 = [-0.6, 0.2]\nD = 0.3\nadaptation = "frozen"\n'
     )
-    options = Rigged(pipeline_name=str(tmp_path / "cart.toml"), set=["evaluate.safety.alpha=3"])
+    options = Rigged(pipeline_name=str(tmp_path / "cart.toml"), set=["evaluate.safety.margin=0.01"])
     plant = npred.plant(f"{tmp_path / 'cart.py'}:Cart")
     controller = rig._controller(options, plant, Channel(0.1, 0.0, 0.0, 0.0, 0.0, 0))
-    assert controller.safety == npred.SafetyFilter(3.0)
+    assert controller.safety == npred.SafetyFilter(margin=0.01)

@@ -52,6 +52,9 @@ def controllers():
     )  # fmt: skip
     cases["bounded"] = (npred.controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
     cases["two delays"] = (npred.controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
+    at_once = npred.plants.resolve("unicycle", delays=(0.0, 0.6))
+    soon = npred.predictor("rk4", at_once, 41)
+    cases["one input at once"] = (npred.controller(at_once, soon, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
     cases["two delays, guard"] = (
         npred.controller(UNICYCLE, npred.guarded(turns, 1e-3), None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE,
     )  # fmt: skip
@@ -64,7 +67,7 @@ def controllers():
 
 NAMES = [
     "deeponet", "fno", "heun", "rk4", "deeponet, guard", "euler, guard", "picard", "observer", "observer, measured",
-    "l1, history", "bounded", "two delays", "two delays, guard", "declared", "declared, guard",
+    "l1, history", "bounded", "two delays", "two delays, guard", "one input at once", "declared", "declared, guard",
 ]  # fmt: skip
 LONG = ["deeponet, guard", "fno", "rk4", "observer", "two delays, guard", "declared", "declared, guard"]
 
@@ -97,7 +100,7 @@ def test_so_is_a_long_one(cases, tmp_path, name):
     assert differ(X, X_c) < 1e-12 and differ(U, U_c) < 1e-12
 
 
-@pytest.mark.parametrize("name", ["rk4", "observer", "two delays, guard", "declared"])
+@pytest.mark.parametrize("name", ["rk4", "observer", "two delays, guard", "one input at once", "declared"])
 def test_in_float_it_is_so_to_float_s_rounding(cases, tmp_path, name):
     (X, U), (X_c, U_c) = both(cases[name], tmp_path, 400, "float")
     assert differ(X, X_c) < 1e-3 and differ(U, U_c) < 1e-2

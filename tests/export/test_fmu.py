@@ -71,7 +71,7 @@ class Limited(ActivatorRepressor):
 
 
 def protecting():
-    plant, safety = Plant("limited", Limited), npred.SafetyFilter(2.0, delay=0.02)
+    plant, safety = Plant("limited", Limited), npred.SafetyFilter(2.0, delay=0.02, horizon=0.3)
     return npred.controller(
         plant,
         npred.predictor("heun", plant, 21),

@@ -279,6 +279,17 @@ def test_what_a_loop_on_a_clock_cannot_have_is_refused_in_one_line():
     late = npred.plant("unicycle_time_delay")
     with pytest.raises(ConfigError, match="timing: expected a plant that does not declare its delay"):
         npred.simulate(late, RK4(late, 11), X0=[0.1, 0.1, 0.1], t_end=1.0, actuator="history", **timed)
+    tank = npred.plant(type("Late", (Seen,), {"delay": lambda x, t, p, M: 0.2 + 0.1 * M.sin(t)}))
+    start = {"X0": [0.1, 0.1], "t_end": 0.5, "dt": DT, "actuator": "history"}
+    ekf = npred.observers.EKF(tank)
+    with pytest.raises(
+        ConfigError, match=r"^observer: expected a plant that does not declare its delay, got Late; step npred"
+    ):
+        npred.simulate(tank, RK4(tank, 11), observer=ekf, **start)
+    controller = npred.controller(tank, RK4(tank, 11), None, DT, observer=ekf, actuator="history")
+    assert np.isfinite(controller.step([0.1])).all()
+    in_python = npred.Measurement(observer=lambda X_hat, Y, U, t: np.where(np.isfinite(Y), Y, X_hat))
+    assert np.isfinite(npred.simulate(tank, RK4(tank, 11), measurement=in_python, **start).X).all()
     for wrong in ({"jitter": 0.5}, {"lost": 1.0}, {"overrun": -0.1}, {"seed": 0.5}):
         with pytest.raises(ConfigError, match=f"timing: .*{next(iter(wrong))}"):
             npred.Timing(**wrong)

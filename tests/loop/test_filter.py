@@ -1,17 +1,17 @@
-"""The safety filter: the nearest U by a solver of SciPy, the chain of derivatives by hand, limits kept in loops."""
+"""The safety filter: where nothing would break a limit nothing changes, the least change by a solver of SciPy, limits
+kept in loops, and loops that are not lost by it.
+"""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize
 
 import npred
 from npred.base.errors import ConfigError
-from npred.exports import fmu
-from npred.loop.safety.filter import assumed
+from npred.loop.safety import filter as grid
 from npred.plants import Plant
+from npred.plants.builtin.cart_pole import CartPole
 from npred.prediction.methods import RK4
 
 
@@ -25,28 +25,138 @@ class Cart:
     safe = lambda x, t, p, M: [1.0 - x.x, 1.0 + x.x]
 
 
-class Plane:
-    """A point in the plane that each input moves, and the other one a little; a wall that moves, and a circle."""
+class Pole(CartPole):
+    """A pole on a cart, whose track alone is limited."""
 
-    states, inputs = ("x", "y"), ("u", "v")
-    box, input_bounds = {"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ((-1.0, 2.0), (-3.0, 1.0))
-    f = lambda x, u, t, p, M: [0.3 * x.y + u.u, -0.2 * x.x + u.v + 0.4 * u.u]
-    kappa = lambda x, t, p, M: [M.sin(3 * x.y) - x.x, M.cos(2 * x.x) - x.y]
-    safe = lambda x, t, p, M: [1.0 + 0.2 * M.sin(t) - x.x, x.x * x.x + x.y * x.y - 0.25, 1.5 - x.y]
-
-
-CART, PLANE = Plant("cart", Cart), Plant("plane", Plane)
+    parameters = CartPole.parameters | {"mass": 0.2, "length": 0.4}
+    box = {"p": (-0.5, 0.5), "v": (-0.2, 0.2), "theta": (-0.15, 0.15), "omega": (-0.2, 0.2)}
+    input_bounds = ((-25.0, 25.0),)
+    safe = lambda x, t, p, M: [0.6 - x.p, 0.6 + x.p]
 
 
-def filtered(plant, safety, P, U, t, dt=0.01):
-    """U (B, m), the least h, where U was changed and where in vain, of states P (B, n) at the times t when U acts."""
+CART, POLE = Plant("cart", Cart), npred.plant(Pole, kappa="lqr")
+
+
+def filtered(plant, safety, P, U, dt=0.01):
+    """U (B, m), the plans (B, blocks * (m + 1)), the least h, where U was changed and where in vain, of states P (B, n)
+    when U acts, at t = 0.
+    """
     B, bounds = len(P), np.array(plant.input_bounds)
     lanes = [np.array(a.T, order="C") for a in (P, U)]
     ends, low, high = lanes[0][None].copy(), *(np.repeat(bounds[:, [k]], B, axis=1) for k in (0, 1))
-    kept, changed, unkept = np.empty((3, B))
-    numbers = safety.settings(dt, bounds)["safety"]
-    safety.kernel(plant)(ends, np.full((1, B), t), plant.p, numbers, low, high, lanes[1], kept, changed, unkept)
-    return lanes[1].T, kept, changed, unkept
+    (kept, changed), unkept = np.empty((2, B)), np.zeros(B)
+    plan = np.zeros((safety.sizes(plant)["plan"], B))
+    numbers = safety.settings(plant, dt, bounds)["safety"]
+    safety.kernel(plant)(ends, np.zeros((1, B)), plant.p, numbers, low, high, lanes[1], plan, kept, changed, unkept)
+    return lanes[1].T, plan.T, kept, changed, unkept
+
+
+def least_h(plant, x, U, dt, seconds):
+    """The least h of a loop of kappa, held over steps of dt in its bounds, whose first input is U: by SciPy."""
+    least, (low, high) = np.inf, np.array(plant.input_bounds).T
+    for _ in range(round(seconds / dt)):
+        path = solve_ivp(lambda t, y, U=U: plant.f(y, U), (0, dt), x, rtol=1e-9, atol=1e-12)
+        x = path.y[:, -1]
+        least, U = min(least, plant.safe(x).min()), np.clip(plant.kappa(x), low, high)
+    return least
+
+
+@pytest.mark.parametrize(("plant", "spread"), [(CART, [0.9, 0.9]), (POLE, [0.55, 0.4, 0.15, 0.4])])
+def test_u_is_changed_only_where_the_loop_without_would_break_a_limit(plant, spread):
+    P = np.random.default_rng(3).uniform(-1, 1, (40, plant.n)) * spread
+    P = P[(plant.safe(P) > 0).all(axis=-1)]
+    U = np.clip(plant.kappa(P), *np.array(plant.input_bounds).T)
+    after, _, kept, changed, _ = filtered(plant, npred.SafetyFilter(), P, U)
+    free = np.array([least_h(plant, x, u, 0.01, 3.0) for x, u in zip(P, U, strict=True)])
+    assert not changed[free > 2e-3].any() and (changed == 0).sum() > 3
+    assert (changed > 0).sum() >= 0.7 * (free < -2e-3).sum() > 2  # a plan may also begin later
+    assert (after[changed == 0] == U[changed == 0]).all() and np.array_equal(kept, plant.safe(P).min(axis=-1))
+
+
+def test_the_plan_is_the_least_that_keeps_the_limits():
+    """Of a linear plant, by SLSQP and matrix exponentials, kappa held over steps a tenth as long as the filter's."""
+    dt, (start, v0) = 0.01, (0.2, 1.1)
+    U = CART.kappa(np.array([start, v0]))
+    after, plan, _, changed, unkept = filtered(CART, npred.SafetyFilter(), np.array([[start, v0]]), U[None], dt)
+    edges, v = np.split(plan[0], [grid.BLOCKS])
+    lengths, fine = np.diff(edges, prepend=0.0), 0.002
+    times = np.arange(0, 4.0, fine)
+    block = np.minimum(np.searchsorted(edges, times, side="right"), grid.BLOCKS - 1)
+
+    def path(v):
+        x, xs = np.array([start, v0]), []
+        for j in block:
+            u = -4 * (x[0] - 0.95) - 1.2 * x[1] + v[j]
+            x = np.array([x[0] + fine * x[1] + fine**2 / 2 * u, x[1] + fine * u])
+            xs.append(x[0])
+        return np.array(xs)
+
+    base, unit = path(np.zeros(grid.BLOCKS)), np.eye(grid.BLOCKS)
+    slopes = np.stack([path(row) - base for row in unit], axis=1)  # the loop is linear in v
+    found = minimize(
+        lambda v: (v**2) @ lengths, np.zeros(grid.BLOCKS), jac=lambda v: 2 * v * lengths, method="SLSQP",
+        constraints={"type": "ineq", "fun": lambda v: 1 - 0.002 - base - slopes @ v, "jac": lambda v: -slopes},
+        options={"maxiter": 500, "ftol": 1e-12},
+    )  # fmt: skip
+    assert changed[0] and not unkept[0] and found.success
+    assert (v**2) @ lengths == pytest.approx((found.x**2) @ lengths, rel=0.02)
+    assert v[0] == pytest.approx(found.x[0], abs=0.05 * np.abs(found.x).max())
+    assert after[0, 0] == pytest.approx(U[0] + v[0], abs=1e-12)
+
+
+def loops(plant, X0, safety, D, t_end, dt=0.005, nx=31, **named):
+    named = {"D": D, "D_hat": D, "u0": [0.0], "actuator": "history", "progress": False} | named
+    return npred.simulate(plant, RK4(plant, nx), X0=X0, t_end=t_end, dt=dt, safety=safety, **named)
+
+
+def from_box(plant, count, seed=0):
+    low, high = np.array([plant.box[name] for name in plant.states]).T
+    return np.random.default_rng(seed).uniform(low, high, (count, plant.n))
+
+
+def test_a_track_never_drops_the_pole_and_nothing_changes_where_the_loop_keeps_it():
+    X0, first = from_box(POLE, 60), 24  # the first state that a command meets
+    free, loop = (loops(POLE, X0, safety, 0.12, 14.0) for safety in (None, npred.SafetyFilter()))
+    inside = (free.safety[:, first:] >= 0).all(axis=(1, 2))
+    assert 45 < inside.sum() < 57
+    assert (loop.U[inside] == free.U[inside]).all() and not loop.filtered[inside].any()
+    assert np.abs(loop.X[:, -1]).max() < 0.05
+    kept = (loop.safety[~inside, first:] >= 0).all(axis=(1, 2))
+    assert kept.sum() >= 0.7 * len(kept) and free.safety[~inside][kept].min() < -0.1
+    assert kept[loop.unkept[~inside] == 0].all()
+
+
+def test_a_set_point_beyond_a_limit_rests_on_it_without_swinging():
+    class Wall(Cart):
+        input_bounds = ((-500.0, 500.0),)
+        kappa = lambda x, t, p, M: [-40 * (x.x - 0.95) - 12 * x.v]
+        safe = lambda x, t, p, M: [0.5 - x.x]
+
+    loop = loops(Plant("wall", Wall), [0.0, 0.0], npred.SafetyFilter(), 0.3, 5.0, 0.01)
+    assert np.abs(loop.U[-100:]).max() < 1e-6 and not loop.unkept
+    assert loop.safety[30:].min() > 0 and loop.safety[-1, 0] < 0.002
+
+
+class Cubic:
+    states, inputs, box = ("x",), ("u",), {"x": (-0.5, 0.5)}
+    f = lambda x, u, t, p, M: [x.x + 1.5 * x.x**3 + u.u]
+    kappa = lambda x, t, p, M: [-x.x - 1.5 * x.x**3 - 4.0 * (x.x - 1.2)]
+    safe = lambda x, t, p, M: [1.0 - x.x**2]
+
+
+@pytest.mark.parametrize("nx", [31, 101, 201])
+def test_limits_do_not_depend_on_the_nodes(nx):
+    """The filter follows the commands themselves."""
+    loop = loops(Plant("cubic", Cubic), [0.0], npred.SafetyFilter(), 0.6, 5.0, 0.01, nx)
+    assert loop.safety.min() > 0 and not loop.unkept and loop.filtered.any()
+
+
+def test_what_the_steps_cannot_predict_is_not_promised():
+    class Stiff(Cart):
+        f = lambda x, u, t, p, M: [x.v, u.u - 400 * M.sin(60 * x.x)]
+
+    loop = loops(Plant("stiff", Stiff), [0.1, 0.0], npred.SafetyFilter(), 0.3, 0.5, 0.1)
+    assert loop.unkept == loop.steps
 
 
 class Valve:
@@ -60,215 +170,45 @@ class Valve:
 
 
 def test_a_limit_that_no_input_moves_is_unkept_and_changes_nothing():
-    valve = Plant("valve", Valve)
-    P, U = np.array([[0.0], [0.0], [0.05], [1.0]]), np.array([[0.5], [-0.7], [1.0], [0.5]])
-    after, kept, changed, unkept = filtered(valve, npred.SafetyFilter(), P, U, 0.0)
-    assert np.array_equal(after, U) and np.allclose(kept, P[:, 0] - 0.2)
-    assert unkept.tolist() == [1, 1, 1, 0]  # at rest; and at the bound, where U is all that the valve can do
-    assert not changed.any()
-    rk4 = npred.predictor("rk4", valve, nx=11)
-    for actuator in ("measured", "history"):
-        loop = npred.simulate(
-            valve, rk4, D=0.2, D_hat=0.2, X0=[0.0], t_end=1.0, dt=0.01, safety=npred.SafetyFilter(), actuator=actuator
-        )
-        assert loop.changes == 0 and not loop.filtered.any() and loop.unkept == loop.steps
+    loop = loops(Plant("valve", Valve), [0.0], npred.SafetyFilter(), 0.2, 1.0, 0.01, 11)
+    assert loop.changes == 0 and loop.unkept == loop.steps
 
 
-def rate_of_plane(x, U):
-    return np.array([0.3 * x[1] + U[0], -0.2 * x[0] + U[1] + 0.4 * U[0]])
+@pytest.mark.parametrize("alpha", [None, 2.0])
+def test_a_limit_that_is_broken_is_kept_again_at_the_laws_rate_or_at_alpha(alpha):
+    class Slow(Valve):
+        box, input_bounds = {"q": (0.0, 1.0)}, ((-5.0, 5.0),)
+        f = lambda x, u, t, p, M: [u.u]
+        kappa = lambda x, t, p, M: [0.1 * (0.9 - x.q)]
+        safe = lambda x, t, p, M: [x.q - 0.8]
 
-
-def conditions_of_plane(x, U, t, alpha):
-    """φ of the three limits at one state, by hand."""
-    h = np.array([1 + 0.2 * np.sin(t) - x[0], x @ x - 0.25, 1.5 - x[1]])
-    slope = np.array([[-1.0, 0.0], 2 * x, [0.0, -1.0]])
-    return slope @ rate_of_plane(x, U) + np.array([0.2 * np.cos(t), 0.0, 0.0]) + alpha * h, h
-
-
-def at_both_ends(x, U, t, alpha, dt):
-    """φ at the begin of a control step and after a step of Heun's method with U."""
-    rate = rate_of_plane(x, U)
-    end = x + dt / 2 * (rate + rate_of_plane(x + dt * rate, U))
-    return np.concatenate([conditions_of_plane(x, U, t, alpha)[0], conditions_of_plane(end, U, t + dt, alpha)[0]])
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.3, 5.0))
-@settings(max_examples=100, deadline=None)
-def test_u_is_the_nearest_that_scipy_finds(seed, alpha):
-    rng = np.random.default_rng(seed)
-    x, U, t, dt = rng.uniform(-1.5, 1.5, 2), rng.uniform([-1, -3], [2, 1]), rng.uniform(0, 6), 0.01
-    found, kept, changed, unkept = (v[0] for v in filtered(PLANE, npred.SafetyFilter(alpha), x[None], U[None], t))
-    assert kept == pytest.approx(conditions_of_plane(x, U, t, alpha)[1].min(), abs=1e-12)
-    widths = np.array([3.0, 4.0])
-    if (at_both_ends(x, U, t, alpha, dt) >= 0).all():
-        assert not changed and not unkept and (found == U).all()
-        return
-    constraint = {"type": "ineq", "fun": lambda u: at_both_ends(x, u, t, alpha, dt)}
-    by_scipy = minimize(
-        lambda u: (((u - U) / widths) ** 2).sum(), U, jac=lambda u: 2 * (u - U) / widths**2, method="SLSQP",
-        bounds=PLANE.input_bounds, constraints=constraint, options={"ftol": 1e-15},
-    )  # fmt: skip
-    if changed and not unkept:
-        assert (at_both_ends(x, found, t, alpha, dt) > -1e-5).all()
-        if by_scipy.success:
-            np.testing.assert_allclose(found, by_scipy.x, atol=4.0 * dt**2)  # slopes at the end are to first order
+    loop = loops(Plant("slow", Slow), [0.0], npred.SafetyFilter(alpha), 0.2, 4.0, 0.02)
+    free = loops(Plant("slow", Slow), [0.0], None, 0.2, 4.0, 0.02)
+    h, t = loop.safety[10:, 0], loop.t[10:] - loop.t[10]
+    assert loop.unkept > 0
+    if alpha is None:
+        assert (loop.X == free.X).all()
     else:
-        assert not by_scipy.success or (at_both_ends(x, by_scipy.x, t, alpha, dt) < 1e-5).any()
+        assert (h >= h[0] * np.exp(-alpha * t) - 2e-3).all() and (h <= 0.03).all()
 
 
-def test_a_law_beyond_the_bounds_of_u_keeps_no_limit_by_what_is_not_sent():
-    """v = 5 would keep the point out of the circle, and 1 is all there is: u, which moves y by 0.4, does the rest."""
-    x, t, alpha, dt = np.array([0.0, 0.3]), 0.0, 5.0, 0.01
-    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha), x[None], np.array([[0.0, 5.0]]), t, dt)
-    assert changed[0] and not unkept[0] and found[0] == pytest.approx([5 / 6, 1.0], abs=1e-3)
-    assert at_both_ends(x, found[0], t, alpha, dt).min() == pytest.approx(0.0, abs=1e-5)
-
-
-def test_what_is_sent_keeps_the_limits_or_it_is_said():
-    """Of laws within the bounds and far beyond them; and where the law's U, at its bounds, keeps them, it is left."""
-    rng, (low, high), alpha, dt = np.random.default_rng(0), np.array(PLANE.input_bounds).T, 2.0, 0.01
-    P, U = rng.uniform(-1.5, 1.5, (2000, 2)), rng.uniform(3 * low - 1, 3 * high + 1, (2000, 2))
-    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha), P, U, 0.7, dt)
-    sent, free = (
-        np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, np.clip(V, low, high), strict=True)])
-        for V in (found, U)
-    )
-    assert (sent[unkept == 0] > -1e-5).all() and (sent[unkept > 0] < 0).all() and 5 < unkept.sum() < 500
-    assert (changed[free >= 0] == 0).all() and (found[free >= 0] == U[free >= 0]).all() and (free >= 0).sum() > 200
-
-
-def test_the_chain_of_a_limit_that_the_second_derivative_reaches():
-    """h = 1 - x of a mass: h'' + 2 α h' + α² h >= 0 at the begin of a step and at its end; by hand."""
-    alpha, dt, rng = 3.0, 0.01, np.random.default_rng(0)
-    P, U = rng.uniform(-1, 1, (200, 2)), rng.uniform(-5, 5, (200, 1))
-    x, v, u = P[:, 0], P[:, 1], U[:, 0]
-    most = 1 + 2 * alpha * dt + (alpha * dt) ** 2 / 2  # how much U moves the condition at the end
-    at_end = 2 * alpha * v + alpha**2 * (x + v * dt)
-    upper = np.minimum(-2 * alpha * v + alpha**2 * (1 - x), (alpha**2 - at_end) / most)
-    lower = np.maximum(-2 * alpha * v - alpha**2 * (1 + x), (-(alpha**2) - at_end) / most)
-    expected = np.clip(np.clip(u, lower, upper), -5, 5)
-    found, _, changed, unkept = filtered(CART, npred.SafetyFilter(alpha), P, U, 0.0)
-    room = lower < upper
-    np.testing.assert_allclose(found[room, 0], expected[room], atol=1e-6)
-    wanting = (lower > 5) | (upper < -5)
-    assert (changed[room] == (np.abs(expected - u) > 0)[room]).all() and (unkept[room] == wanting[room]).all()
-
-
-class Tilted(Cart):
-    parameters = {"tilt": 0.0}
-    safe = lambda x, t, p, M: [1.0 - x.x - p.tilt * x.v, 1.0 + x.x + (x.v - x.v)]
-
-
-def test_the_relative_degree_is_that_of_the_values_on_the_box():
-    """On the tape U enters the first derivative of both limits, by numbers that are 0: the loops are those without."""
-    named = {"D": 0.3, "D_hat": 0.3, "X0": [-0.6, 0.2], "t_end": 8.0, "dt": 0.01, "u0": [0.0], "actuator": "history"}
-    plain, tilted = (
-        npred.simulate(plant, RK4(plant, 31), safety=npred.SafetyFilter(3.0), **named)
-        for plant in (CART, Plant("tilted", Tilted))
-    )
-    assert plain.filtered.any() and not tilted.unkept
-    np.testing.assert_allclose(tilted.U, plain.U, atol=1e-12)
-    assert assumed(Plant("tilted", Tilted)) == ["tilt"] and not assumed(CART)
-
-
-@pytest.mark.parametrize(("tilt", "about"), [(0.0, "; the safety filter is written for 0"), (0.5, "")])
-def test_an_fmu_says_which_parameter_decided_the_relative_degree(tilt, about):
-    plant = Plant("tilted", Tilted, {"tilt": tilt})
-    controller = npred.controller(plant, RK4(plant, 11), None, 0.01, D_hat=0.3, actuator="history", u0=[0.0],
-                                  safety=npred.SafetyFilter(3.0))  # fmt: skip
-    (parameter,) = [a for a in fmu.variables(controller, np.zeros(2), False) if a.name == "parameter.tilt"]
-    assert parameter.about == "parameter of plant and law" + about
-
-
-def test_a_parameter_that_is_not_0_lets_u_act_on_the_first_derivative():
-    """h = 1 - x - v / 2: h' + α h >= 0 bounds U from above by itself, at the begin of a step."""
-    leaning, alpha, rng = Plant("tilted", Tilted, {"tilt": 0.5}), 1.0, np.random.default_rng(0)
-    P, U = rng.uniform(-0.6, 0.6, (400, 2)), rng.uniform(-5, 5, (400, 1))
-    upper = 2 * (alpha * (1 - P[:, 0] - P[:, 1] / 2) - P[:, 1])
-    found = filtered(leaning, npred.SafetyFilter(alpha), P, U, 0.0, dt=1e-5)[0][:, 0]
-    active = (upper < U[:, 0]) & (upper > -5)
-    assert active.sum() > 20 and not assumed(leaning)
-    np.testing.assert_allclose(found[active], upper[active], atol=1e-3)
-
-
-def test_at_the_end_of_the_track_u_does_not_point_outward():
-    """h = h' = 0: U is 0, but for rounding. Before, 5e-10 of what was asked for was left."""
-    U = np.array([[0.01], [0.3], [1.0], [1.5], [5.0]])
-    for end in (1.0, -1.0):
-        P = np.tile([end, 0.0], (len(U), 1))
-        found, _, changed, unkept = filtered(CART, npred.SafetyFilter(1.0), P, end * U, 0.0)
-        assert changed.all() and not unkept.any() and np.abs(found).max() < 1e-14
-
-
-def test_conditions_hold_to_second_order_while_u_is_held():
-    """How far φ is below 0 at the end of a step, by SciPy: it falls with the third power of the step; within, too."""
-    alpha, rng, steps = 2.0, np.random.default_rng(3), np.array([0.08, 0.04, 0.02, 0.01])
-    P, U = rng.uniform(-1.2, 1.2, (150, 2)), rng.uniform([-1, -3], [2, 1], (150, 2))
-    answers = [filtered(PLANE, npred.SafetyFilter(alpha), P, U, 0.7, dt) for dt in steps]
-    both = np.all([changed > unkept for _, _, changed, unkept in answers], axis=0)
-    ends = []
-    for dt, (found, *_) in zip(steps, answers, strict=True):
-        times, least = np.linspace(0, dt, 5), np.zeros(5)
-        for x, u in zip(P[both], found[both], strict=True):
-            path = solve_ivp(lambda t, x, u=u: rate_of_plane(x, u), (0, dt), x, "DOP853", times, rtol=1e-12, atol=1e-14)
-            phi = [conditions_of_plane(y, u, 0.7 + t, alpha)[0].min() for t, y in zip(times, path.y.T, strict=True)]
-            least = np.minimum(least, phi)
-        assert least[0] > -1e-13 and least.min() > -(dt**2)
-        ends.append(-least[-1])
-    assert both.sum() > 30 and ends[0] > 1e-7 and (ends < 0.01 * steps**3).all()
-
-
-def test_conditions_are_of_second_order_in_the_step_where_time_moves_the_plant():
-    """x' = u + 2 sin 6t towards a wall that moves: φ at the end of a step in closed form, three steps of dt."""
-
-    class Shaken:
-        states, inputs, box, input_bounds = ("x",), ("u",), {"x": (-1.0, 1.0)}, ((-9.0, 9.0),)
-        f = lambda x, u, t, p, M: [u.u + 2 * M.sin(6 * t)]
-        kappa = lambda x, t, p, M: [0 * x.x]
-        safe = lambda x, t, p, M: [1.0 + 0.3 * M.sin(4 * t) - x.x]
-
-    plant, alpha, steps = Plant("shaken", Shaken), 2.0, np.array([0.08, 0.04, 0.02, 0.01])
-    x, t0, ends = np.linspace(0.2, 1.0, 40), 0.35, []
-    for dt in steps:
-        u, _, changed, unkept = filtered(plant, npred.SafetyFilter(alpha), x[:, None], np.full((40, 1), 5.0), t0, dt)
-
-        def phi(t, there, u=u[:, 0]):
-            return 1.2 * np.cos(4 * t) - u - 2 * np.sin(6 * t) + alpha * (1 + 0.3 * np.sin(4 * t) - there)
-
-        end = phi(t0 + dt, x + u[:, 0] * dt + (np.cos(6 * t0) - np.cos(6 * (t0 + dt))) / 3)
-        assert changed.all() and not unkept.any() and phi(t0, x).min() > -1e-6
-        ends.append(np.abs(np.minimum(end, 0)).max())
-    assert np.polyfit(np.log(steps), np.log(ends), 1)[0] > 2.7
-
-
-def safe_starts(count, alpha=3.0, D=0.3):
-    """Starts whose states at the moment when the first input acts are in the set that the filter keeps."""
-    X0 = np.random.default_rng(1).uniform([-0.8, -0.5], [0.8, 0.5], (count, 2))
-    x, v = X0[:, 0] + D * X0[:, 1], X0[:, 1]
-    return X0[(alpha * (1 - x) - v >= 0) & (alpha * (1 + x) + v >= 0)]
-
-
+@pytest.mark.parametrize("margin", [0.0, 0.2])
 @pytest.mark.parametrize(("D", "delay"), [(0.3, 0.0), (0.28, 0.02), (0.32, 0.02)])
-def test_limits_are_kept_in_loops_and_would_not_be_without(D, delay):
-    safety = npred.SafetyFilter(3.0, delay=delay)
-    X0 = safe_starts(300)
-    named = {"D": D, "D_hat": 0.3, "X0": X0, "t_end": 8.0, "dt": 0.01, "u0": [0.0], "actuator": "history"}
-    free = npred.simulate(CART, RK4(CART, 31), **named)
-    loop = npred.simulate(CART, RK4(CART, 31), safety=safety, **named)
-    assert free.safety.min() < -0.3 and not free.filtered.any()
-    assert loop.safety.min() > 0 and loop.unkept.sum() == 0 and 0 < loop.filtered.mean() < 0.5
-    assert np.abs(loop.X[:, -1, 0] - 0.95).max() < 0.02
-
-
-def test_a_filter_that_never_acts_changes_nothing():
-    named = {"D": 0.3, "D_hat": 0.3, "X0": [[0.9, 0.0]], "t_end": 3.0, "dt": 0.01, "u0": [0.2]}
-    free, loop = (npred.simulate(CART, RK4(CART, 31), safety=s, **named) for s in (None, npred.SafetyFilter(20.0)))
-    assert not loop.filtered.any() and (loop.U == free.U).all()
+def test_limits_and_their_margin_are_kept_for_any_delay_in_its_interval(D, delay, margin):
+    X0 = from_box(CART, 60) * 0.7
+    free, loop = (
+        loops(CART, X0, safety, D, 6.0, 0.01, D_hat=0.3)
+        for safety in (None, npred.SafetyFilter(margin=margin, delay=delay))
+    )
+    first = round(D / 0.01) + 1
+    promised = loops(CART, X0, npred.SafetyFilter(margin=margin, delay=delay), D, 0.01, 0.01, D_hat=0.3).unkept == 0
+    assert promised.sum() > 30 and free.safety[promised].min() < -0.1
+    assert loop.safety[promised, first:].min() > margin - 1e-6
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02])
 def test_a_controller_filters_as_the_simulated_loop(delay):
-    safety, X0 = npred.SafetyFilter(3.0, delay=delay), np.array([0.3, 0.45])
+    safety, X0 = npred.SafetyFilter(delay=delay), np.array([0.3, 0.9])
     loop = npred.simulate(
         CART, RK4(CART, 31), D=0.3, D_hat=0.3, X0=X0, t_end=3.0, dt=0.01, u0=[0.0], actuator="history", safety=safety
     )
@@ -277,7 +217,7 @@ def test_a_controller_filters_as_the_simulated_loop(delay):
     )
     changed, kept = [], []
     for X, U in zip(loop.X, loop.U, strict=True):
-        np.testing.assert_allclose(controller.step(X), U, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(controller.step(X), U, rtol=1e-8, atol=1e-8)
         changed.append(controller.status.filtered)
         kept.append(controller.status.kept)
     assert (changed == loop.filtered).all() and any(changed)
@@ -286,44 +226,45 @@ def test_a_controller_filters_as_the_simulated_loop(delay):
         np.testing.assert_allclose(kept[:-30], loop.safety[30:].min(axis=1), atol=3e-4)  # of 31 nodes
 
 
-class Bent(Cart):
-    f = lambda x, u, t, p, M: [x.v, u.u + u.u * u.u * u.u]
-
-
-class Still(Cart):
-    safe = lambda x, t, p, M: [1.0]
+def test_a_saved_state_has_the_plan():
+    made = lambda: npred.controller(
+        CART, RK4(CART, 31), None, 0.01, D_hat=0.3, u0=[0.0], actuator="history", safety=npred.SafetyFilter()
+    )
+    first, second = made(), made()
+    for k in range(30):
+        first.step([0.3 + 0.009 * k, 0.9])
+    assert first.status.filtered
+    second.restore(first.state())
+    assert second.step([0.6, 0.9]) == first.step([0.6, 0.9])
 
 
 class Free(Cart):
     safe = None
 
 
-@pytest.mark.parametrize(("kind", "message"), [
-    (Bent, "limits whose derivative is linear in the input, that of number 0 is not"),
-    (Still, "limits that the input moves, it does not move number 0"),
-    (Free, r"expected a plant with safe\(x, t, p, M\)"),
-])  # fmt: skip
-def test_plants_that_it_does_not_serve_are_refused(kind, message):
-    plant = Plant("other", kind)
-    with pytest.raises(ConfigError, match=message):
-        npred.simulate(plant, RK4(plant, 21), D=0.3, D_hat=0.3, X0=[0, 0], t_end=1.0, safety=npred.SafetyFilter())
+def test_plants_and_controllers_that_it_does_not_serve_are_refused():
+    plant = Plant("other", Free)
+    with pytest.raises(ConfigError, match=r"expected a plant with safe\(x, t, p, M\)"):
+        loops(plant, [0, 0], npred.SafetyFilter(), 0.3, 1.0)
+    with pytest.raises(ConfigError, match='safety: expected actuator="history"'):
+        npred.controller(CART, RK4(CART, 31), None, 0.01, D_hat=0.3, safety=npred.SafetyFilter())
 
 
-@pytest.mark.parametrize("named", [{"alpha": 0.0}, {"alpha": np.nan}, {"margin": -1.0}, {"delay": -0.1}])
+@pytest.mark.parametrize(
+    "named", [{"alpha": 0.0}, {"alpha": np.nan}, {"margin": -1.0}, {"delay": -0.1}, {"horizon": 0}]
+)
 def test_numbers_that_make_no_sense_are_refused(named):
     with pytest.raises(ConfigError, match=f"safety: expected {next(iter(named))}"):
         npred.SafetyFilter(**named)
-    with pytest.raises(ConfigError, match="expected alpha up to 1 / dt"):
-        npred.simulate(CART, RK4(CART, 21), D=0.3, D_hat=0.3, X0=[0, 0], t_end=1, dt=0.1, safety=npred.SafetyFilter(11))
 
 
 def test_limits_are_kept_on_a_real_clock():
     """Calls 30 % early or late, with the interval of the delay that they need."""
-    X0 = safe_starts(20)
+    X0 = from_box(CART, 20) * 0.6
     named = {"D": 0.3, "D_hat": 0.3, "X0": X0, "t_end": 6.0, "dt": 0.01, "u0": [0.0], "actuator": "history"}
-    safety, timing = npred.SafetyFilter(3.0, delay=0.01), npred.Timing(jitter=0.3)
+    safety, timing = npred.SafetyFilter(delay=0.01), npred.Timing(jitter=0.3)
     loop = npred.simulate(CART, RK4(CART, 31), safety=safety, timing=timing, **named)
-    assert loop.safety.min() > 0 and loop.filtered.any() and not loop.unkept.any()
+    assert loop.safety.min() > 0 and loop.filtered.any()
 
 
 class Shutter(Cart):
@@ -340,7 +281,7 @@ def pushed(plant, push, D, delay, **named):
     dt = 0.01
     controller = npred.controller(
         plant, RK4(plant, 31), None, dt, D_hat=D, u0=[0.0], actuator="history", outlier_limit=None,
-        safety=npred.SafetyFilter(3.0, delay=delay), observer=npred.observers.EKF(plant, offset=1.0, R=1e-8), **named,
+        safety=npred.SafetyFilter(delay=delay), observer=npred.observers.EKF(plant, offset=1.0, R=1e-8), **named,
     )  # fmt: skip
 
     def flown(X, U):
@@ -380,15 +321,3 @@ def test_an_offset_takes_from_the_room_of_u(push):
     U = controller.step([x - 0.1 * v + 0.1**2 / 2 * push, v - 0.1 * push])  # the commands before, 0, lead there
     np.testing.assert_allclose(controller.P[-1], [x, v], atol=1e-6)
     assert U.tolist() == [-5 * push] and controller.status.unkept
-
-
-def test_a_margin_is_kept_on_top_of_the_limits():
-    """φ >= margin at both ends of a step, in a unit of h over a second."""
-    rng, alpha, dt = np.random.default_rng(4), 2.0, 0.01
-    P, U = rng.uniform(-1.2, 1.2, (200, 2)), rng.uniform([-1, -3], [2, 1], (200, 2))
-    found, _, changed, unkept = filtered(PLANE, npred.SafetyFilter(alpha, margin=0.3), P, U, 0.7)
-    phi = np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, found, strict=True)])
-    free = np.array([at_both_ends(x, u, 0.7, alpha, dt).min() for x, u in zip(P, U, strict=True)])
-    kept = changed > unkept
-    assert kept.sum() > 30 and np.abs(phi[kept] - 0.3).max() < 1e-4
-    assert (free[changed == 0] >= 0.3).all() and (phi[unkept > 0] < 0.3).all() and unkept.any()

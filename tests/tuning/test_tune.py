@@ -172,35 +172,6 @@ def test_the_interval_is_that_of_pairs():
     assert gain == pytest.approx(0) and low < 0 < high
 
 
-def test_alpha_of_a_filter_is_as_large_as_keeps_the_limits(folder: Path):
-    """With h = x + 0.2 the filter lets x fall at alpha (x + 0.2) at the most: a small alpha is slower than the law."""
-    (folder / "line.py").write_text(LIMITED.format("x.x + 0.2"))
-    table = {"safety": {"alpha": 0.4, "delay": 0.0}, "actuator": "history", "u0": [0.0]}
-    search = {"free": ["safety.alpha"], "bounds": {"safety.alpha": [0.2, 8.0]}, "evaluations": 18}
-    chosen = pipeline(evaluate=table, tune=search)
-    plant = plants.resolve(chosen.plant)
-    loops = Loops(chosen, plant, 3, "training")
-    slow, quick = (loops.run({"safety.alpha": alpha}, lambda steps: None).time.mean() for alpha in (0.4, 4.0))
-    assert quick < slow
-    result = tuned(chosen)
-    assert result.numbers[0].name == "safety.alpha" and result.numbers[0].after > 0.4 and result.gained
-    without = pipeline(tune={"free": ["safety.alpha"], "bounds": {}})
-    with pytest.raises(ConfigError, match="expected a safety filter"):
-        tuned(without)
-
-
-def test_the_filter_of_a_scenario_keeps_its_alpha(folder: Path):
-    (folder / "line.py").write_text(LIMITED.format("x.x + 0.2"))
-    scenario = {"name": "slow", "safety": {"alpha": 0.4}}
-    table = {"safety": {"alpha": 1.0}, "actuator": "history", "u0": [0.0], "scenarios": [scenario]}
-    chosen = pipeline(evaluate=table)
-    loops = Loops(chosen, plants.resolve(chosen.plant), 3, "training")
-    slow, quick = (loops.run({"safety.alpha": alpha}, lambda steps: None).time for alpha in (0.4, 4.0))
-    per_condition = slow.shape[1] // 2
-    assert quick[:, :per_condition].mean() < slow[:, :per_condition].mean()
-    np.testing.assert_array_equal(slow[:, per_condition:], quick[:, per_condition:])
-
-
 def test_a_loop_that_breaks_a_limit_does_not_settle(folder: Path):
     (folder / "line.py").write_text(LIMITED.format("1.6 - x.x"))
     chosen = pipeline(evaluate={"safety": {"alpha": 1.0}, "actuator": "history", "u0": [0.0]})

@@ -51,8 +51,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     state.D_moved = self->D_moved;
     state.ends = self->ends;
     state.moments = self->moments;
-    state.P_moved = self->P_moved;
-    state.u_moved = self->u_moved;
+    state.plan = self->saved.plan;
 #endif
     return state;
 }
@@ -149,6 +148,9 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
 #endif
 #if FILTERS
     fits = fits && all_finite(NPRED_FILTER, state->filter);
+#endif
+#if PROTECTS
+    fits = fits && all_finite(NPRED_PLAN, state->plan);
 #endif
 #if KEEPS_COMMANDS
     fits = fits && all_finite(NPRED_ROWS * NPRED_M_INPUTS, state->held);

@@ -45,6 +45,9 @@ typedef struct {
 #if FILTERS
     npred_real filter[NPRED_FILTER];
 #endif
+#if PROTECTS
+    npred_real plan[NPRED_PLAN];
+#endif
 } npred_saved;
 
 /* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
@@ -65,8 +68,7 @@ typedef struct {
 #endif
 #if PROTECTS
     npred_real kept[1], filtered[1], unkept[1], low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
-    npred_real ends[NPRED_ENDS * NPRED_N_STATES], moments[NPRED_ENDS], P_moved[NPRED_NX * NPRED_N_STATES];
-    npred_real u_moved[NPRED_NX * NPRED_M_INPUTS];
+    npred_real ends[NPRED_ENDS * NPRED_N_STATES], moments[NPRED_ENDS];
 #endif
 #if TUNABLE
     struct {
@@ -80,8 +82,8 @@ typedef struct {
 /* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
  * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
  * or were too old, `refused` those that were not believed, `missed` the last of these in a row, `renewed` how often
- * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where the bounds of U
- * left no way to keep the limits, of which `kept` is the least. */
+ * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where it found no plan that
+ * keeps the limits, of which `kept` is the least when U acts. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;

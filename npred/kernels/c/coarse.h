@@ -7,8 +7,8 @@ static inline void KERNEL(Shape d, const double *X, const double *u, const doubl
     double *mass = work, *turn = mass + (d.nx + 1) * row, *v = turn + (d.nx + 1) * row, *Q = v + 2 * COUNT * row;
     Shape coarse = d;
     coarse.nx = COUNT + 1;
-    integrals(d, M, u, mass, turn);
-    lines_on_cells(d, M, COUNT, u, mass, turn, v);
+    integrals(d, M, u, mass, turn, NULL, NULL);
+    lines_on_cells(d, M, COUNT, u, mass, turn, NULL, v, NULL);
     SWEEP(coarse, X, v, D_hat, t, p, Q, Q + (COUNT + 1) * states);
     for (int j = 0; j < d.nx; j++) {
         const double place = (double)j * (double)COUNT / (double)last;

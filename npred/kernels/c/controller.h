@@ -140,7 +140,7 @@ static inline void move_base(Shape d, double to, Moment now, const Parts *q, con
         }
         copy(d.n, z->filter, c.base);
     } else {
-        onward(d, 0, c.stamp[BASE_AT], to, now, c.D, z->held, NULL, q->model, s->p, c.base, work);
+        onward(d, 0, c.stamp[BASE_AT], to, 1.0, now, c.D, z->held, NULL, q->model, s->p, c.base, work);
     }
     c.stamp[BASE_AT] = to;
 }
@@ -152,7 +152,7 @@ static inline void expect(Shape d, double from, double to, Moment now, const Par
     const Clock c = clock_of(d, z->clock);
     const double *push = s->offsets ? z->filter + d.n : NULL;
     if (all_finite(d.n, z->expected)) {
-        onward(d, 0, larger(from, c.stamp[NOW_AT]), to, now, c.D, z->held, push, q->model, s->p, z->expected, work);
+        onward(d, 0, larger(from, c.stamp[NOW_AT]), to, 1.0, now, c.D, z->held, push, q->model, s->p, z->expected, work);
     }
 }
 
@@ -347,7 +347,7 @@ static inline int sense(Shape d, Moment now, int came, double age, const Parts *
         follow(d, c.stamp[BASE_AT], now.at, now, q, s, z, work, work + s->filter_count);
         copy(d.n, work, z->X_hat);
     } else if (used) {
-        onward(d, 0, taken, now.at, now, c.D, z->held, push, q->model, s->p, z->X_hat, work);
+        onward(d, 0, taken, now.at, 1.0, now, c.D, z->held, push, q->model, s->p, z->X_hat, work);
     }
     copy(d.n, z->X_hat, c.now);
     c.stamp[NOW_AT] = now.at;

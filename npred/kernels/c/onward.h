@@ -27,15 +27,16 @@ SPARE static inline double reached(Shape d, int l, double at, double to, double 
     return end;
 }
 
-/* x, a state of lane l, from one position to another, by the model and the commands that reach the plant meanwhile. */
-SPARE static inline void onward(Shape d, int l, double from, double to, Moment of, const double *D, const double *held,
+/* x, a state of lane l, from one position to another, by the model and the commands that reach the plant meanwhile, in
+ * steps of up to `longest` control steps. */
+SPARE static inline void onward(Shape d, int l, double from, double to, double longest, Moment of, const double *D, const double *held,
                                 const double *push, Advance model, const double *p, double *x, double *work)
 {
     double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
     Shape one = d;
     one.lanes = 1;
     for (double at = from, end; at < to; at = end) {
-        end = reached(d, l, at, to, of.dt, D, held, push, U0, U1, share);
+        end = reached(d, l, at, smaller(at + longest, to), of.dt, D, held, push, U0, U1, share);
         model(one, x, U0, U1, share, (end - at) * of.dt, time_at(of, at), p, rest);
     }
 }

@@ -1,134 +1,358 @@
-/* PROTECT: U as near to what it is as keeps h >= 0, in every state of `ends` that the plant may have when U acts.
+/* PROTECT: U, changed only where the loop that follows it would break a limit, and then as little as keeps all of them:
+ * a predictive safety filter [Wabersich, Zeilinger, Automatica 129 (2021) 109597] around the plant's own law.
  *
- * BARRIER says of a state x, at its time, the K values of h, of φ(x, U) = ψ' + α ψ, of a = φ_U and of pull = φ_x f_U; ψ is
- * h, or, where U acts on a higher derivative alone, ψ' + α ψ of the one before. φ >= margin keeps ψ from falling faster
- * than α ψ. φ is held to that at both ends of the control step over which U is held: the second state is a step of Heun's
- * method further, so that it is met to second order in the step. U moves it too, so that the conditions are made linear
- * around the last U until that no longer moves. `kept` is the least h of `ends`; `filtered` is 1 where U was changed, and
- * `unkept` where no U in its bounds meets the conditions. */
-enum { ALPHA, MARGIN, STEP_LENGTH, WIDTHS };
-#define SOFT 1e-9   /* of conditions on states, whose rows have the length 1 */
-#define BOUND 1e-13 /* of the bounds of U */
-#define PASSES 4    /* solutions of the linear conditions; the error of one is multiplied by about (alpha dt)² */
-#define SETTLED 1e-9
-#define MISSED 1e-6
+ * From each of the states `ends` that the plant may have when U acts, the loop is rolled out over a grid of STEPS: with
+ * U over the first control step, then with kappa in its bounds, held over the first HELD steps and read all the time on
+ * the longer ones that follow. Where every h stays above its floor, U is not touched. Else a plan adds v to kappa,
+ * constant in each of BLOCKS. The plan with the least Σ ∫ (v / width)² dt that keeps h is sought by up to PASSES
+ * programmes which are linear around the last plan; their slopes are differences of rollouts side by side. The next call
+ * begins at what is left of it.
+ *
+ * The floor is the margin or, where h is below that at `ends` already, what returns to it at the rate alpha. A plan has
+ * a reserve: it keeps TIGHT of the size of h more or, where less is left at `ends`, returns to that. A breach of up to
+ * SLACK of it is left to later calls, the farther on the more, for they see it more exactly. `kept` is the least h of
+ * `ends`, `filtered` is 1 where U was changed, and `unkept` where no plan has half the reserve. */
+#define SIDE (VARIABLES + 1) /* rollouts of a plan: itself, then one for each variable, which is moved there */
+#define LOOPS (WIDE > 1 ? 8 : 1) /* loops whose law is rolled out side by side */
+#define ABREAST (ENDS * (SIDE > 8 ? SIDE : 8))
+#define PASSES 2
+#define TIGHT 2e-3
+#define SLACK 5e-4
+#define DIP 5e-3     /* of the size of h: by so much, and a tenth, kappa may break more what is broken, without alpha */
+#define MOVED PRECISE(1e-4, 1e-3) /* of the width of an input: how far a variable is moved */
+#define SETTLED 1e-4 /* of it: a plan that goes no farther is final */
+#define LESS 0.999   /* of the cost of a plan: a new one that is not that much better is not taken */
+#define MISSED 1e-5  /* of the size of h */
+#define SOFT PRECISE(1e-9, 1e-5)   /* of conditions on states, whose rows have the length 1 */
+#define BOUND PRECISE(1e-13, 1e-6) /* of the bounds of v */
+#define LOST -1e6    /* sizes of h, of a rollout that is not finite */
+enum { MARGIN = N, STEP_LENGTH, WIDTHS, SIZES = WIDTHS + M, LENGTHS = SIZES + K, DECAYS = LENGTHS + STEPS,
+       RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
+#define ROOMS (2 * K) /* of the limits at the end and in the middle of a step */
 
-/* Add a condition a δ >= b, in rows of the length 1; one that no input moves is left out. Gives by how much δ misses it. */
-static inline double condition(Conditions *q, const double *w, const double *a, double b, const double *delta, double soft)
+/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, and v. */
+typedef struct {
+    double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST];
+    double below[K * ABREAST], spent[K * ABREAST]; /* what h lacks at `ends` of the margin, and of the reserve, in sizes */
+    double rate[N * ABREAST];                      /* of the states in the last step */
+    double room[STEPS * ROOMS * ABREAST];          /* what h has above its floor, in its sizes, in each step */
+    double law[BLOCKS * M * 2]; /* what kappa says in each block at least and at most, of plans that are not moved */
+    double edges[BLOCKS];       /* the ends of the blocks, as times from now on; the last is that of the horizon */
+} Rollouts;
+
+/* The rooms of step i, from h before it, in its middle and at its end. Between these lies a parabola: its least counts,
+ * and for a plan a bound of that which is linear in them. */
+static INLINED void PART(_rooms)(const int count, const int side, const double *restrict s, int i,
+                                 double *restrict before, const double *restrict middle, const double *restrict end,
+                                 Rollouts *r)
+{
+    const double decay = s[DECAYS + i], returned = 1.0 - s[RAMPS + i];
+    for (int a = 0; a < K * count; a++) {
+        double *const room = r->room + (i * ROOMS + 2 * (a / count)) * count + a % count, size = s[SIZES + a / count];
+        const double dip = r->below[a] > 0.0 && decay == 1.0 ? DIP + 0.1 * r->below[a] / size : 0.0;
+        const double reserve = side ? TIGHT - r->spent[a] * returned : SLACK * (returned - 1.0) - dip;
+        const double floor = s[MARGIN] - r->below[a] * decay + reserve * size;
+        const double rise = 0.5 * (end[a] - before[a]), bend = end[a] + before[a] - 2.0 * middle[a];
+        const double vertex = bend > fabs(rise) ? middle[a] - 0.5 * rise * rise / bend : end[a];
+        const double below = larger(bend, 0.0) / 8.0;
+        const double at_end = side ? end[a] - below : smaller(end[a], vertex);
+        const double inside = middle[a] - (side ? below : 0.0);
+        before[a] = end[a];
+        room[0] = end[a] == end[a] ? (at_end - floor) / size : LOST;
+        room[count] = end[a] == end[a] ? (inside - floor) / size : LOST;
+    }
+}
+
+/* Roll out `count` lanes, of the law alone or, of `side` lanes for each end, of a plan. */
+static INLINED void PART(_roll)(const int count, const int side, const double *restrict p, const double *restrict s,
+                                const double *restrict low, const double *restrict high, Rollouts *r)
+{
+    double y[N * ABREAST], middle[N * ABREAST], v[M * ABREAST], elapsed = 0.0;
+    double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];
+    int block = 0;
+    LANES for (int l = 0; l < count; l++) {
+        LIMITS(count, r->x + l, r->t[l], p, before + l);
+    }
+    for (int a = 0; a < BLOCKS * M; a++) {
+        r->law[2 * a] = INFINITY;
+        r->law[2 * a + 1] = -INFINITY;
+    }
+    for (int i = 0; i < STEPS; i++) {
+        const double length = s[LENGTHS + i];
+        double share;
+        while (block + 1 < BLOCKS && r->edges[block] <= elapsed + 1e-9 * length) {
+            block++;
+        }
+        share = block + 1 < BLOCKS ? smaller((r->edges[block] - elapsed) / length, 1.0) : 1.0;
+        for (int a = 0; a < M * count; a++) { /* the mean over the step */
+            const double *const now = r->v + block * M * count + a;
+            v[a] = share < 1.0 ? share * now[0] + (1.0 - share) * now[M * count] : now[0];
+        }
+        if (i > 0 && (i < HELD || side)) {
+            LANES for (int l = 0; l < count; l++) {
+                LAW(count, r->x + l, r->t[l] + elapsed, p, r->U + l);
+            }
+        }
+        for (int c = 0; c < M; c++) {
+            double *const range = r->law + 2 * (block * M + c), *const U = r->U + c * count;
+            for (int l = 0; side && l < count; l += side) {
+                range[0] = smaller(range[0], U[l]);
+                range[1] = larger(range[1], U[l]);
+            }
+            LANES for (int l = 0; l < count; l++) {
+                U[l] = smaller(larger(U[l] + v[c * count + l], low[c]), high[c]);
+            }
+        }
+        if (i < HELD) {
+            LANES for (int l = 0; l < count; l++) {
+                STEP(count, r->x + l, r->U + l, r->t[l] + elapsed, length, p, y + l, middle + l);
+            }
+        } else {
+            LANES for (int l = 0; l < count; l++) {
+                ALONG(count, r->x + l, v + l, r->rate + l, low, high, 0.5 * s[STEP_LENGTH], r->t[l] + elapsed, length,
+                      p, y + l, middle + l);
+            }
+        }
+        LANES for (int l = 0; l < count; l++) {
+            LIMITS(count, middle + l, r->t[l] + elapsed + 0.5 * length, p, between + l);
+        }
+        elapsed += length;
+        LANES for (int l = 0; l < count; l++) {
+            LIMITS(count, y + l, r->t[l] + elapsed, p, h + l);
+        }
+        for (int a = 0; a < N * count; a++) {
+            r->rate[a] = (y[a] - r->x[a]) / length;
+            r->x[a] = y[a];
+        }
+        PART(_rooms)(count, side, s, i, before, between, h, r);
+    }
+}
+
+/* The rollout in lane `at` of `count` begins at end e of loop l. Gives the least h there. */
+static inline double PART(_begin)(int count, int at, int lanes, const double *ends, const double *moments, int e, int l,
+                                  const double *p, const double *s, const double *U, Rollouts *r)
+{
+    double x[N], h[K], least_h = INFINITY;
+    for (int c = 0; c < N; c++) {
+        x[c] = r->x[c * count + at] = ends[((ptrdiff_t)e * N + c) * lanes + l];
+    }
+    r->t[at] = moments[e * lanes + l];
+    for (int c = 0; c < M; c++) {
+        r->U[c * count + at] = U[c * lanes + l];
+    }
+    LIMITS(1, x, r->t[at], p, h);
+    for (int k = 0; k < K; k++) {
+        r->below[k * count + at] = larger(s[MARGIN] - h[k], 0.0);
+        r->spent[k * count + at] = smaller(larger(TIGHT - (h[k] - s[MARGIN]) / s[SIZES + k], 0.0), TIGHT);
+        least_h = smaller(least_h, h[k]);
+    }
+    return least_h;
+}
+
+/* The least room of `loops` loops from l on, the law alone from all their ends, and the least h of these. */
+static INLINED void PART(_alone)(const int loops, int lanes, int l, const double *ends, const double *moments,
+                                 const double *p, const double *s, const double *low, const double *high,
+                                 const double *U, double *room, double *kept, Rollouts *r)
+{
+    const int count = ENDS * loops;
+    for (int a = 0; a < VARIABLES * count; a++) {
+        r->v[a] = 0.0;
+    }
+    for (int j = 0; j < BLOCKS; j++) {
+        r->edges[j] = s[EDGES + j];
+    }
+    for (int b = 0; b < loops; b++) {
+        kept[b] = room[b] = INFINITY;
+        for (int e = 0; e < ENDS; e++) {
+            const double least_h = PART(_begin)(count, b * ENDS + e, lanes, ends, moments, e, l + b, p, s, U, r);
+            kept[b] = smaller(kept[b], least_h);
+        }
+    }
+    PART(_roll)(count, 0, p, s, low, high, r);
+    for (int a = 0; a < STEPS * ROOMS * count; a++) {
+        room[a % count / ENDS] = smaller(room[a % count / ENDS], r->room[a]);
+    }
+}
+
+/* Add a condition a δ >= b on variables of the weights w, in rows of the length 1. */
+static inline void condition(Conditions *q, const double *w, const double *a, double b, double soft)
 {
     double length = 0.0;
-    for (int c = 0; c < M; c++) {
+    for (int c = 0; c < VARIABLES; c++) {
         length += a[c] * w[c] * a[c] * w[c];
-        b -= a[c] * delta[c];
     }
     length = sqrt(length);
     if (!(length > 1e-12)) {
-        return b;
+        return;
     }
-    double *const row = q->a + q->rows * M, *const bound = q->b + q->rows;
-    *bound = b / length;
-    for (int c = 0; c < M; c++) {
-        row[c] = a[c] / length;
-        *bound += row[c] * delta[c];
+    for (int c = 0; c < VARIABLES; c++) {
+        q->a[q->rows * VARIABLES + c] = a[c] / length;
     }
+    q->b[q->rows] = b / length;
     q->soft[q->rows++] = soft;
-    return b / length;
 }
 
-/* The conditions of all ends on δ, linear around U + δ, of one lane, and the least h. Gives the most that U + δ misses. */
-static inline double PART(_conditions)(int lanes, const double *ends, const double *moments, const double *p,
-                                       const double *safety, const double *now, const double *delta, Conditions *q,
-                                       double *least_h)
+/* The next plan by the conditions that are linear around v, whose rollouts r are. Gives how far it goes from v. */
+static inline double PART(_replan)(const Rollouts *r, const double *s, const double *low, const double *high,
+                                   const double *moved, double *v)
 {
-    const double step = safety[STEP_LENGTH];
-    double missed = 0.0, U[M];
-    for (int c = 0; c < M; c++) {
-        U[c] = now[c] + delta[c];
+    const int count = ENDS * SIDE;
+    double w[VARIABLES], next[VARIABLES], a[VARIABLES], farthest = 0.0;
+    Conditions q = {.rows = 0};
+    for (int j = 0; j < VARIABLES; j++) {
+        w[j] = s[WIDTHS + j % M] / sqrt(r->edges[j / M] - (j < M ? 0.0 : r->edges[j / M - 1]));
     }
-    for (int e = 0; e < ENDS; e++) {
-        const double t = moments[e * lanes];
-        double x[N], h[K], phi[K], a[K * M], pull[K * M];
-        for (int c = 0; c < N; c++) {
-            x[c] = ends[(e * N + c) * (ptrdiff_t)lanes];
+    for (int row = 0; row < STEPS * ROOMS * ENDS; row++) {
+        const double *const room = r->room + row / ENDS * count + row % ENDS * SIDE;
+        double b = -room[0], reach = 0.0;
+        for (int j = 0; j < VARIABLES; j++) {
+            a[j] = (room[j + 1] - room[0]) / moved[j];
+            b += a[j] * v[j];
+            reach += fabs(a[j]) * s[WIDTHS + j % M];
         }
-        for (int later = 0; later < 2; later++) {
-            if (later) { /* a step of Heun's method, U held */
-                double rate[N], second[N], trial[N];
-                FLOW(1, 1, x, U, t, p, rate);
-                for (int c = 0; c < N; c++) {
-                    trial[c] = x[c] + step * rate[c];
-                }
-                FLOW(1, 1, trial, U, t + step, p, second);
-                for (int c = 0; c < N; c++) {
-                    x[c] += 0.5 * step * (rate[c] + second[c]);
-                }
-            }
-            BARRIER(1, 1, x, U, t + (double)later * step, safety[ALPHA], p, h, phi, a, pull);
-            for (int k = 0; k < K; k++) {
-                double b = safety[MARGIN] - phi[k];
-                for (int c = 0; c < M; c++) {
-                    a[k * M + c] += (double)later * step * pull[k * M + c];
-                    b += a[k * M + c] * delta[c];
-                }
-                *least_h = later ? *least_h : smaller(*least_h, h[k]);
-                missed = larger(missed, condition(q, safety + WIDTHS, a + k * M, b, delta, SOFT));
-            }
+        if (room[0] < reach && room[0] > 0.5 * LOST) {
+            condition(&q, w, a, b, SOFT);
         }
     }
-    return missed;
+    for (int j = 0; j < VARIABLES; j++) { /* farther than to a bound of U, v changes nothing */
+        for (int c = 0; c < VARIABLES; c++) {
+            a[c] = 0.0;
+        }
+        a[j] = 1.0;
+        if (isfinite(low[j % M])) {
+            condition(&q, w, a, smaller(low[j % M] - r->law[2 * j + 1], 0.0), BOUND);
+        }
+        a[j] = -1.0;
+        if (isfinite(high[j % M])) {
+            condition(&q, w, a, smaller(r->law[2 * j] - high[j % M], 0.0), BOUND);
+        }
+    }
+    nearest(&q, w, next);
+    for (int j = 0; j < VARIABLES; j++) {
+        farthest = larger(farthest, fabs(next[j] - v[j]) / s[WIDTHS + j % M]);
+        v[j] = next[j];
+    }
+    return farthest;
 }
 
-/* Find δ anew around the last one, within the bounds of U of one lane. Gives how far it moved, in widths of these. */
-static inline double PART(_solve)(int lanes, const double *w, const double *low, const double *high, const double *now,
-                                  Conditions *q, double *delta)
+/* The edges and v of a plan, as seen a control step later: a block that is over makes room for a half of the one that is
+ * the longest for its begin. A plan begins as 0 in blocks that grow with time. */
+static inline void PART(_go_on)(int lanes, const double *s, const double *plan, double *edges, double *v)
 {
-    double next[M], moved = 0.0;
-    for (int c = 0; c < 2 * M; c++) {
-        const int i = c / 2, upper = c % 2;
-        const double room = upper ? now[i] - high[i * lanes] : low[i * lanes] - now[i];
-        double unit[M] = {0.0};
-        unit[i] = upper ? -1.0 : 1.0;
-        if (isfinite(room)) {
-            condition(q, w, unit, room, delta, BOUND);
+    const int is_new = !(plan[0] > 0.0);
+    for (int j = 0; j < BLOCKS; j++) {
+        edges[j] = is_new ? s[EDGES + j] : plan[j * lanes] - s[STEP_LENGTH];
+    }
+    edges[BLOCKS - 1] = s[EDGES + BLOCKS - 1];
+    for (int j = 0; j < VARIABLES; j++) {
+        v[j] = is_new ? 0.0 : plan[(BLOCKS + j) * lanes];
+    }
+    while (edges[0] < 0.5 * s[STEP_LENGTH]) {
+        double most = 0.0;
+        int split = 1;
+        for (int j = 1; j < BLOCKS; j++) {
+            const double ratio = edges[j] / larger(edges[j - 1], s[EDGES]);
+            split = ratio > most ? j : split;
+            most = larger(most, ratio);
+        }
+        for (int j = 0; j < split; j++) {
+            edges[j] = j + 1 < split ? edges[j + 1] : sqrt(larger(edges[j], s[EDGES]) * edges[split]);
+            for (int c = 0; c < M; c++) {
+                v[j * M + c] = v[(j + 1) * M + c];
+            }
         }
     }
-    nearest(q, w, next);
-    for (int c = 0; c < M; c++) {
-        next[c] = smaller(larger(now[c] + next[c], low[c * lanes]), high[c * lanes]) - now[c];
-        moved = larger(moved, fabs(next[c] - delta[c]) / w[c]);
-        delta[c] = next[c];
+}
+
+/* The plan of loop l, from what is left of the last one. Gives its least room. */
+static APART double PART(_plan)(int lanes, int l, const double *ends, const double *moments, const double *p,
+                                const double *s, const double *low, const double *high, const double *U, double *plan,
+                                Rollouts *r)
+{
+    const int count = ENDS * SIDE;
+    double v[VARIABLES], moved[VARIABLES], best = -INFINITY, least_cost = INFINITY, farthest = INFINITY;
+    PART(_go_on)(lanes, s, plan, r->edges, v);
+    for (int pass = 0; pass <= PASSES; pass++) {
+        double room = INFINITY, cost = 0.0;
+        for (int e = 0; e < ENDS; e++) {
+            for (int k = 0; k < SIDE; k++) {
+                PART(_begin)(count, e * SIDE + k, lanes, ends, moments, e, l, p, s, U, r);
+            }
+        }
+        for (int j = 0; j < VARIABLES; j++) {
+            moved[j] = v[j] > 0.0 ? -MOVED * s[WIDTHS + j % M] : MOVED * s[WIDTHS + j % M];
+            for (int k = 0; k < count; k++) {
+                r->v[j * count + k] = v[j] + (k % SIDE == j + 1 ? moved[j] : 0.0);
+            }
+        }
+        PART(_roll)(count, SIDE, p, s, low, high, r);
+        for (int a = 0; a < STEPS * ROOMS * ENDS; a++) {
+            room = smaller(room, r->room[a * SIDE]);
+        }
+        for (int j = 0; j < VARIABLES; j++) {
+            const double share = v[j] / s[WIDTHS + j % M];
+            cost += share * share * (r->edges[j / M] - (j < M ? 0.0 : r->edges[j / M - 1]));
+        }
+        if (room > -MISSED ? cost < LESS * least_cost || best <= -MISSED : room > best) {
+            best = room;
+            least_cost = room > -MISSED ? cost : INFINITY;
+            for (int j = 0; j < VARIABLES; j++) {
+                plan[(BLOCKS + j) * lanes] = v[j];
+            }
+        }
+        if (pass == PASSES || (room > -MISSED && farthest < SETTLED)) {
+            break;
+        }
+        if (room <= 0.5 * LOST && pass > 0) { /* half the way back to a plan that is better */
+            for (int j = 0; j < VARIABLES; j++) {
+                v[j] = 0.5 * (v[j] + plan[(BLOCKS + j) * lanes]);
+            }
+            continue;
+        }
+        farthest = PART(_replan)(r, s, low, high, moved, v);
     }
-    return moved;
+    return best;
 }
 
 static inline void KERNEL(Shape d, const double *ends, const double *moments, const double *p, const double *safety,
-                          const double *low, const double *high, double *U, double *kept, double *filtered, double *unkept,
-                          double *work)
+                          const double *low, const double *high, double *U, double *plan, double *kept,
+                          double *filtered, double *unkept, double *work)
 {
     const int lanes = d.lanes;
+    double least_U[M], most_U[M], room[LOOPS];
+    Rollouts r;
     (void)work;
-    for (int l = 0; l < lanes; l++) {
-        double now[M], within[M], delta[M], missed = 0.0, moved = INFINITY;
-        filtered[l] = 0.0;
-        for (int c = 0; c < M; c++) { /* what is beyond the bounds is not sent: it keeps nothing */
-            now[c] = U[c * lanes + l];
-            within[c] = delta[c] = smaller(larger(now[c], low[c * lanes + l]), high[c * lanes + l]) - now[c];
+    for (int c = 0; c < M; c++) { /* the same in all lanes */
+        least_U[c] = low[c * lanes];
+        most_U[c] = high[c * lanes];
+    }
+    for (int l = 0, loops; l < lanes; l += loops) {
+        loops = lanes - l >= LOOPS ? LOOPS : 1;
+        if (loops == 1) {
+            PART(_alone)(1, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, &r);
+        } else {
+            PART(_alone)(LOOPS, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, &r);
         }
-        for (int pass = 0; pass <= PASSES; pass++) {
-            Conditions q = {.rows = 0};
-            kept[l] = INFINITY;
-            missed = PART(_conditions)(lanes, ends + l, moments + l, p, safety, now, delta, &q, kept + l);
-            if ((pass == 0 && !(missed > 0.0)) || moved < SETTLED || pass == PASSES) {
-                break;
+        for (int b = l; b < l + loops; b++) {
+            const int acts = room[b - l] < 0.0;
+            double found = 0.0;
+            if (acts) {
+                found = PART(_plan)(lanes, b, ends, moments, p, safety, least_U, most_U, U, plan + b, &r);
             }
-            moved = PART(_solve)(lanes, safety + WIDTHS, low + l, high + l, now, &q, delta);
+            filtered[b] = 0.0;
+            for (int j = 0; j < BLOCKS; j++) {
+                plan[j * lanes + b] = acts ? r.edges[j] : 0.0;
+            }
+            for (int c = 0; c < M && acts; c++) {
+                const double *const v = plan + (BLOCKS + c) * lanes + b;
+                const double share = smaller(plan[b] / safety[STEP_LENGTH], 1.0);
+                double *const now = U + c * lanes + b;
+                const double added = share * v[0] + (share < 1.0 ? (1.0 - share) * v[M * lanes] : 0.0);
+                const double next = smaller(larger(*now + added, least_U[c]), most_U[c]);
+                filtered[b] = next != smaller(larger(*now, least_U[c]), most_U[c]) ? 1.0 : filtered[b];
+                *now = next;
+            }
+            unkept[b] = found < -0.5 * TIGHT || kept[b] < safety[MARGIN] ? 1.0 : unkept[b];
         }
-        for (int c = 0; c < M; c++) {
-            filtered[l] = delta[c] != within[c] ? 1.0 : filtered[l];
-        }
-        for (int c = 0; c < M && filtered[l] > 0.0; c++) {
-            U[c * lanes + l] += delta[c];
-        }
-        unkept[l] = missed > MISSED ? 1.0 : 0.0;
     }
 }

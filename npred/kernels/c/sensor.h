@@ -41,7 +41,7 @@ static inline void estimate(Shape d, INDEX k, INDEX origin, double dt, INDEX age
             x[c] = (arrived ? Y : X_hat)[c * lanes + l];
         }
         const Moment begin = {(double)origin, 0.0, dt};
-        onward(d, l, (double)(origin + from), (double)(origin + k), begin, D, held, NULL, model, p, x, rest);
+        onward(d, l, (double)(origin + from), (double)(origin + k), 1.0, begin, D, held, NULL, model, p, x, rest);
         for (int c = 0; c < d.n; c++) {
             X_hat[c * lanes + l] = x[c];
         }

@@ -46,38 +46,40 @@ static inline void offset(Shape d, int rows, double sign, const double *found, d
     }
 }
 
-/* The state when U acts if the delay is D_hat + `moved`, by the predictor `exact`, as number e of the ends. */
-static inline void predict_end(Shape d, int e, double moved, INDEX k, double part, double t, const Parts *q,
-                               const Settings *s, State *z, double *work)
+/* End e of lane l: the state when U acts, if the delay is D_hat + `moved`, by the model and the commands themselves. They
+ * are held over whole or half control steps, quarters, …, until that makes no more difference than `error` (n) allows.
+ * Gives whether that is reached. */
+#define FINEST 16.0 /* parts of a control step */
+static inline int predict_end(Shape d, int e, int l, double moved, double at, double t, const Parts *q, const Settings *s,
+                              State *z, double *work)
 {
     const int lanes = d.lanes;
-    const ptrdiff_t states = (ptrdiff_t)d.n * lanes;
-    double *D_hat = z->moments + e * lanes; /* scratch, until the moment is written to it */
-    const double *u = z->u, *P = z->P;
-    for (int l = 0; l < lanes; l++) {
-        D_hat[l] = larger(z->D_hat[l] + moved, 0.0);
+    const Moment now = {at, t, s->dt};
+    double *x = work, *coarse = x + d.n, *rest = coarse + d.n, D = 0.0, excess = INFINITY;
+    for (int c = 0; c < d.m; c++) {
+        D = larger(z->D_seen[c * lanes + l] + moved, 0.0);
+        z->D_moved[c * lanes + l] = D;
     }
-    if (moved != 0.0) {
-        own_history(d, s->ratios, D_hat, z->D_moved);
-        transport(d, k, part, s->dt, z->D_moved, z->held, z->total, z->u_moved, NULL);
-        if (s->offsets) {
-            offset(d, d.nx, 1.0, z->filter + d.n, z->u_moved);
+    for (double parts = 1.0; parts <= FINEST && excess > 1.0; parts *= 2.0) {
+        for (int c = 0; c < d.n; c++) {
+            coarse[c] = x[c];
+            x[c] = z->X_hat[c * lanes + l];
         }
-        u = z->u_moved;
+        onward(d, l, at, at + D / s->dt, 1.0 / parts, now, z->D_moved, z->held, s->offsets ? z->filter + d.n : NULL,
+               q->model, s->p, x, rest);
+        excess = parts > 1.0 ? 0.0 : INFINITY;
+        for (int c = 0; c < d.n && parts > 1.0; c++) { /* of a method of order 4 */
+            excess = larger(excess, fabs(x[c] - coarse[c]) / (15.0 * s->safety[c]));
+        }
     }
-    if (q->exact) {
-        q->exact(d, z->X_hat, u, D_hat, t, s->p, z->P_moved, work);
-        P = z->P_moved;
+    for (int c = 0; c < d.n; c++) {
+        z->ends[((ptrdiff_t)e * d.n + c) * lanes + l] = x[c];
     }
-    for (ptrdiff_t a = 0; a < states; a++) {
-        z->ends[e * states + a] = P[(d.nx - 1) * states + a];
-    }
-    for (int l = 0; l < lanes; l++) {
-        D_hat[l] += t;
-    }
+    z->moments[e * lanes + l] = t + D;
+    return excess <= 1.0;
 }
 
-/* U as near to what it is as keeps the limits, within its bounds; with an offset at the inputs U is what the plant gets. */
+/* U, changed where the loop would break a limit; with an offset at the inputs U is what the plant gets. */
 static inline void protect(Shape d, INDEX k, double part, double t, const Parts *q, const Settings *s, State *z,
                            double *work)
 {
@@ -88,11 +90,15 @@ static inline void protect(Shape d, INDEX k, double part, double t, const Parts 
             z->high[c * d.lanes + l] = s->input_bounds[2 * c + 1] + added;
         }
     }
-    for (int e = 0; e < s->end_count; e++) {
-        const double moved = e == 0 ? 0.0 : e == 1 ? -s->uncertain : s->uncertain;
-        predict_end(d, e, moved, k, part, t, q, s, z, work);
+    for (int l = 0; l < d.lanes; l++) {
+        z->unkept[l] = 0.0;
+        for (int e = 0; e < s->end_count; e++) {
+            const double moved = e == 0 ? 0.0 : e == 1 ? -s->uncertain : s->uncertain;
+            const int is_exact = predict_end(d, e, l, moved, (double)k + part, t, q, s, z, work);
+            z->unkept[l] = is_exact ? z->unkept[l] : 1.0;
+        }
     }
-    q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->kept, z->filtered, z->unkept,
+    q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->plan, z->kept, z->filtered, z->unkept,
                work);
 }
 

@@ -115,7 +115,7 @@ class _Tables(Section):
     parameters: dict[str, float] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
     kappa: Kappa | dict[str, Any] | Literal[""] = ""
-    delays: list[Positive] | None = None  #: the delay of each input, if they differ; by default the plant's
+    delays: list[Delay] | None = None  #: the delay of each input, if they differ; by default the plant's
     generate: Generate = Generate()
     train: Train = Train()
     evaluate: Evaluate = Evaluate()

@@ -260,7 +260,7 @@ def parts(fit: PipelineFit) -> None:
         if loop.timing or estimator:
             clocked.serves(fit.plant)
         if loop.safety:
-            loop.safety.check(fit.plant, loop.dt)
+            loop.safety.check(fit.plant)
         plants.varied(fit.plant, tuple(loop.truth.items()))
         predictors.numerical(loop.predictor, fit.plant, loop.nx)
     if "evaluate" in fit.stages and (guard := fit.pipeline.evaluate.guard):

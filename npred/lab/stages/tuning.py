@@ -7,7 +7,7 @@ choose nothing.
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
 
@@ -32,7 +32,6 @@ from npred.plants import Plant
 from npred.prediction.methods import numerical
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
-ALPHA = "safety.alpha"  # the number of the safety filter, likewise
 LETTERS = ("Q", "R")  # weights of kappa = "lqr"
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
@@ -129,14 +128,11 @@ class Loops:
         plant, parts = varied(self.plant, numbers), []
         for condition in self.conditions:
             law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
-            safety = condition.table.safety
-            if safety and ALPHA in numbers and safety == self.pipeline.evaluate.safety:  # a scenario's stays
-                law["safety"] = replace(safety, alpha=numbers[ALPHA])
             table = condition.table.model_copy(update=law)
             predictor = numerical(table.predictor, plant, table.nx)
             changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
             loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
-            parts.append(Settling.of(loops, self.plant, self.states, limited=safety is not None))
+            parts.append(Settling.of(loops, self.plant, self.states, limited=condition.table.safety is not None))
         return Settling(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
 
 
@@ -223,7 +219,7 @@ class Ranges:
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
         """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
         law = adaptation(pipeline.evaluate, plant)
-        chosen = [name for name in table.free if name != ALPHA and (name not in LAW or law is None)]
+        chosen = [name for name in table.free if name not in LAW or law is None]
         weights = LqrWeights.of(plant)
         chosen = weights.named(chosen) if weights else chosen
         offered = {name: plant.parameters[name] for name in gains(plant)} if plant.traced or chosen else {}
@@ -232,11 +228,6 @@ class Ranges:
             if name not in offered:
                 raise ConfigError(unlisted("free", name, offered, "gains, which kappa reads and the plant does not:"))
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
-        if ALPHA in table.free:
-            if pipeline.evaluate.safety is None:
-                expected = "expected a safety filter in [evaluate], found none; add safety = { alpha = 1.0 }"
-                raise ConfigError(f"free: {ALPHA} {expected}")
-            present |= {ALPHA: pipeline.evaluate.safety.alpha}
         spans = {name: _span(name, value, table.bounds) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
         if not free:

@@ -1,90 +1,110 @@
-"""The kernel of the safety filter: a condition on U for each limit of a plant, and the nearest U that keeps them."""
+"""The kernel of the safety filter, and the grid of time over which it rolls loops out."""
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from npred.base import randomness
 from npred.base.errors import ConfigError
-from npred.formulas import Value, programs
-from npred.formulas.tape import names
-from npred.formulas.trace import Trace, python
+from npred.formulas import Value, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
-from npred.laws.design import MOMENTS, SAMPLES, SPAN, acts
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem
 
+STEPS, HELD, BLOCKS = 64, 8, 7  # of a rollout: its steps, those that hold U over a control step, the pieces of a plan
+GROWTH = 1.2  # from step to step, up to
+LONGEST = 0.6  # times the fastest rate of the loop
+SPAN = 6.0  # the horizon, times the slowest rate, where that many steps reach so far
+RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
+ERROR = 1e-6  # of the box: what a predicted state may err by
+DRAWN = 256  # states of the box
+
 
 @cache
 def kernel(plant: Plant, ends: int) -> Kernel:
-    """PROTECT of a plant, for so many predicted states. Raises ConfigError for limits that no input moves in a way
-    that is linear in it.
-    """
-    n, m, of = plant.n, plant.m, Formulas(plant, ())
-    x, u, t, alpha = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t"), of.trace.input("alpha")
-    limits = [*of.trace.safe(x, t)]
-    phi = [_barrier(of.trace, plant, k, h, x, u, t, alpha) for k, h in enumerate(limits)]
-    along = of.trace.f(x, u, t)
-    by_input = [programs.derivative(phi, [*u], [*unit]) for unit in np.eye(m)]
-    by_state = [programs.derivative(phi, [*x], programs.derivative([*along], [*u], [*unit])) for unit in np.eye(m)]
-    a, pull = ([column[k] for k in range(len(phi)) for column in columns] for columns in (by_input, by_state))
-    arguments = [vector("x", n), vector("u", m), "t", "alpha"]
-    results = {"h": len(limits), "phi": len(phi), "a": len(a), "pull": len(pull)}
-    functions = {"BARRIER": of.function([*limits, *phi, *a, *pull], arguments, results, "one"), "FLOW": of.f()}
-    rows = 2 * ends * len(limits) + 2 * m
-    sizes = {"N": n, "M": m, "K": len(limits), "ENDS": ends, "ROWS": rows}
-    return made("protect", problem.PROTECT, skeleton("nearest.h") + skeleton("protect.h"), functions, sizes)
+    """npred.prediction.delays.problem.PROTECT of a plant, for so many predicted states."""
+    n, m, K, of = plant.n, plant.m, plant.limits, Formulas(plant)
+    trace = of.trace
+    x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
+    low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
+
+    def along(x: np.ndarray, before: np.ndarray, t: Value) -> np.ndarray:
+        """f with kappa in its bounds, which is held: it is as late as half a control step."""
+        raw = trace.kappa(x - lag * before, t - lag) + v
+        U = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(raw, low, high, strict=True)]
+        return trace.f(x, np.array(U, dtype=object), t)
+
+    def step(rate: Callable[..., np.ndarray]) -> list[Value]:
+        """The state at the end of a step of RK4, and in its middle (Hairer, Nørsett, Wanner, II.6.22)."""
+        k1 = rate(x, before, t)
+        k2 = rate(x + h / 2 * k1, k1, t + h / 2)
+        k3 = rate(x + h / 2 * k2, k2, t + h / 2)
+        k4 = rate(x + h * k3, k3, t + h)
+        states = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), x + h / 24 * (5 * k1 + 4 * k2 + 4 * k3 - k4)
+        return [value for state in states for value in plant.stopped([*state], tape.M)]
+
+    results = {"y": n, "middle": n}
+    bounds = vector("low", m, "1", "l"), vector("high", m, "1", "h")
+    functions = {
+        "LAW": of.function(trace.kappa(x, t), [vector("x", n), "t"], {"U": m}),
+        "LIMITS": of.function([*trace.safe(x, t)], [vector("x", n), "t"], {"h": K}),
+        "STEP": of.function(
+            step(lambda x, before, t: trace.f(x, u, t)), [vector("x", n), vector("u", m), "t", "h"], results
+        ),
+        "ALONG": of.function(
+            step(along), [vector("x", n), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"], results
+        ),
+    }
+    variables = BLOCKS * m
+    sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
+    sizes |= {"VARIABLES": variables, "ROWS": STEPS * 2 * K * ends + 2 * variables, "ACTIVE": 2 * variables}
+    text = skeleton("nearest.h") + skeleton("protect.h")
+    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called())
 
 
-def _barrier(
-    trace: Trace, plant: Plant, k: int, h: Value, x: np.ndarray, u: np.ndarray, t: Value, alpha: Value
-) -> Value:
-    """φ(x, U) = ψ' + α ψ of limit k, ψ the first of its chain whose derivative U moves on the box."""
-    along, psi, degree = trace.f(x, u, t), h, _degree(plant, k)[0]
-    for order in range(1, degree + 1):
-        [rate] = programs.derivative([psi], [t, *x], [1.0, *along])
-        if order < degree and programs.depends([rate], [*u]):
-            [rate] = programs.derivative([psi], [t, *x], [1.0, *trace.f(x, np.zeros(plant.m), t)])
-        psi = rate + alpha * psi
-    slopes = [programs.derivative([psi], [*u], [*unit])[0] for unit in np.eye(plant.m)]
-    if programs.depends(slopes, [*u]):
-        what = f"expected limits whose derivative is linear in the input, that of number {k} is not"
-        raise ConfigError(f"{plant.location('safe')} {what}; let another state be the input, by its rate")
-    return psi
+def numbers(
+    plant: Plant, dt: float, input_bounds: ArrayLike, margin: float, alpha: float | None, horizon: float | None
+) -> np.ndarray:
+    """What npred/kernels/c/protect.h reads, in the order there: sizes, and the grid of time."""
+    X = states(plant)
+    box, (fastest, slowest) = np.ptp(X, axis=0), rates(plant, X)
+    lengths = np.minimum(dt * GROWTH ** np.maximum(np.arange(STEPS) - HELD + 1, 0), max(LONGEST / fastest, dt))
+    held, total = HELD * dt, min(lengths.sum(), horizon or SPAN / slowest)
+    lengths[HELD:] *= max(total - held, dt) / lengths[HELD:].sum()
+    ends = np.cumsum(lengths)
+    edges = np.maximum(ends[-1] / 2.0 ** np.arange(BLOCKS)[::-1], dt * np.arange(1, BLOCKS + 1))
+    decay = np.ones(STEPS) if alpha is None else np.exp(-alpha * ends)
+    ramp = 1.0 - np.exp(-np.maximum(ends - held, 0.0) / (RISE * ends[-1]))
+    widths = np.ptp(inputs.widest(plant, np.asarray(input_bounds, dtype=float)), axis=1)
+    widths = np.where(np.isfinite(widths) & (widths > 0), widths, 1.0)
+    with np.errstate(all="ignore"):
+        sizes = np.nanmedian(np.abs(plant.safe(X)), axis=0)
+    sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
+    return np.array([*(ERROR * box), margin, dt, *widths, *sizes, *lengths, *decay, *ramp, *edges])
 
 
-def assumed(plant: Plant) -> list[str]:
-    """The parameters without whose values U would move an earlier derivative of a limit: 0, say."""
-    decisive = {name for k in range(plant.limits) for name in _degree(plant, k)[1]}
-    return [name for name in plant.parameters if name in decisive]
-
-
-def _degree(plant: Plant, k: int) -> tuple[int, list[str]]:
-    """The first derivative of limit k by the time that U moves on the box, and the parameters that decide it."""
-    trace = Trace(plant)
-    x, u, t = trace.symbols()
-    along, still = trace.f(x, u, t), trace.f(x, np.zeros(plant.m), t)
+def states(plant: Plant) -> np.ndarray:
+    """States of the box (DRAWN, n), which is 1 around the guess where it has no range."""
     pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
-    low, high = np.array(pairs, dtype=float).T  # 1 around the guess where the box has no range
-    X = randomness.generator(0, "laws").uniform(low, high, (SAMPLES, plant.n))
-    times = np.resize(np.linspace(0.0, plant.period or SPAN, MOMENTS, endpoint=False), SAMPLES)
-    limits = inputs.bounds(plant, None)
-    limits = np.where(np.isfinite(limits), limits, [-1.0, 1.0])
-    U = randomness.generator(0, "limits").uniform(limits[:, 0], limits[:, 1], (SAMPLES, plant.m))
-    y, decide = trace.safe(x, t)[k], []
-    for degree in range(1, plant.n + 1):
-        [rate] = programs.derivative([y], [t, *x], [1.0, *along])
-        slopes = [programs.derivative([rate], [*u], [*unit])[0] for unit in np.eye(plant.m)]
-        [y] = programs.derivative([y], [t, *x], [1.0, *still])
-        symbolic = [*names("x", plant.n), *names("u", plant.m), "t", *names("p", len(plant.p))]
-        with np.errstate(all="ignore"):
-            columns = python([*slopes, y], symbolic)(*X.T, *U.T, times, *plant.p)
-        rates = np.stack([np.broadcast_to(a, times.shape) for a in columns], axis=-1).astype(float)  # the last: U = 0
-        if acts(rates[:, :-1] * np.abs(limits).max(axis=1), rates[:, -1]):
-            return degree, decide
-        symbols = zip(plant.parameters, trace.parameters, strict=True)
-        decide += [name for name, symbol in symbols if programs.depends(slopes, [symbol])]
-    what = f"expected limits that the input moves, it does not move number {k}"
-    raise ConfigError(f"{plant.location('safe')} {what}; drop that one")
+    low, high = np.array(pairs, dtype=float).T
+    return randomness.generator(0, "limits").uniform(low, high, (DRAWN, plant.n))
+
+
+def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:
+    """The fastest rate of the loop without delay on states X, and the slowest at which it comes to rest."""
+    U = plant.kappa(X)
+    with np.errstate(all="ignore"):
+        f_X, f_U = plant.jacobians(X, U)
+        A = f_X + f_U @ plant.kappa_jacobian(X)
+        values = np.linalg.eigvals(A[np.isfinite(A).all(axis=(-2, -1))])
+    fastest = float(np.quantile(np.abs(values).max(axis=-1), 0.95))
+    try:
+        at_rest = np.linalg.eigvals(plant.linearised()[0]).real
+    except ConfigError:
+        at_rest = np.median(np.sort(values.real, axis=-1), axis=0)
+    slowest = float(np.min(-at_rest[at_rest < 0], initial=np.inf))
+    return fastest, slowest if np.isfinite(slowest) else fastest / 10

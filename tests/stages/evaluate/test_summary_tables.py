@@ -60,7 +60,7 @@ def test_each_radius_is_below_its_head():
 
 def test_limits_have_columns_where_the_plant_declares_any():
     kept = {"least": 0.0123, "filtered": 0.25, "unkept": 3}
-    heads = ("least h", "filtered", "steps without a way")
+    heads = ("least h", "filtered", "steps without a plan")
     result = evaluation("numerical", limits=kept)
     assert tables.predictors(result).terminal().splitlines()[0].endswith("least h")
     loops = evaluate.details(result).split("\n\n")[-1].split("\n", 1)[1]

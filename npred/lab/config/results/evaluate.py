@@ -58,7 +58,7 @@ class Limits(Result):
 
     least: float | None  #: the smallest h at the kept times; `null` where a loop leaves the finite numbers
     filtered: float | None  #: share of the control steps in which the safety filter changed U; `null` without one
-    unkept: int | None  #: number of steps in which the bounds of U left no way to keep the limits, likewise
+    unkept: int | None  #: number of steps in which no plan was found that keeps the limits, likewise
 
 
 class DelayMap(Result):
@@ -155,7 +155,7 @@ class Evaluated(Result):
 
     plant: str  #: its name
     equilibrium: list[float] | None  #: one number per state; `null` if the plant tracks
-    gain: Number  #: distance that a constant error of 1 in U moves the loop
+    gain: Number  #: distance that a small constant error of U moves the rest, over the error, if the loop settles
     held_out: int  #: number of held-out samples
     held_out_kind: str  #: kind of row of the errors of `models`: `nominal`, or `imported`
     #: by kind of held-out row: `nominal`, `exploring`, `redrawn`, or `imported`

@@ -182,7 +182,7 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
     if config.observer:
         yield f"the state estimated by {config.observer.kind}"
     if config.safety:
-        yield f"limits kept by a filter with α = {config.safety.alpha:g}"
+        yield "limits kept by a safety filter"
     sensors = []
     for key, value in vars(config.measurement).items():
         if np.any(value):  # noise, jitter and drop are shares

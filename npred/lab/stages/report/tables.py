@@ -23,7 +23,7 @@ ABOUT = {
     "rel_l2": "mean of ‖P̂ − P‖ / ‖P‖",
     "median": "distance from the goal over the last tenth of a loop, its median over the cases",
     "worst": "the largest of them",
-    "predicted": "the gain times ε_{κ}: the distance that a constant error of that size brings",
+    "predicted": "the gain times ε_{κ}: the distance that a small constant error of that size brings",
     "radius": "of the loop in the figure above",
     "lost": "loops that diverge or end far away",
     "settle_time": "median over the cases",
@@ -158,7 +158,7 @@ def _interventions(rows: Sequence[Any]) -> list[Column]:
     columns += _columns(limits, {"least": "least h"}, digits=3) if limits else []
     if any(each.filtered is not None for each in limits):
         columns += _columns(limits, {"filtered": "filtered"}, ".2%")
-        columns += _columns(limits, {"unkept": "steps without a way"}, "d")
+        columns += _columns(limits, {"unkept": "steps without a plan"}, "d")
     return columns
 
 
