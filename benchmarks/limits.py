@@ -318,18 +318,27 @@ def report(
     return f"{line}; of {len(hard)} that are in the limits at first the rival keeps {len(can)}, of these kept {shares}"
 
 
+class OfCasadi:
+    """What `M` offers a plant, on CasADi's expressions."""
+
+    names = {"maximum": "fmax", "minimum": "fmin", "abs": "fabs"}
+
+    def __getattr__(self, name: str) -> Any:
+        import casadi as ca
+
+        return getattr(ca, self.names.get(name, name))
+
+    @staticmethod
+    def solve(A: Any, b: Any) -> list[Any]:
+        """The y of A y = b."""
+        import casadi as ca
+
+        return ca.vertsplit(ca.solve(ca.vertcat(*(ca.horzcat(*row) for row in A)), ca.vertcat(*b)))
+
+
 def optimal(case: Case, X: np.ndarray) -> np.ndarray:
     """Whether states (B, n) can be kept for 3 s and brought to the target: by multiple shooting and IPOPT."""
     import casadi as ca
-
-    class OfCasadi:
-        names = {"maximum": "fmax", "minimum": "fmin", "abs": "fabs"}
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(ca, self.names.get(name, name))
-
-        def solve(self, A: Any, b: Any) -> list[Any]:
-            return ca.vertsplit(ca.solve(ca.vertcat(*(ca.horzcat(*row) for row in A)), ca.vertcat(*b)))
 
     plant, h, M, seconds = case.plant, 2 * case.dt, OfCasadi(), max(3.0, case.t_end / 4)
     h = max(h, seconds / 200)

@@ -46,7 +46,7 @@ from typing import Any
 import acados
 import casadi as ca
 import numpy as np
-from limits import Arm
+from limits import Arm, OfCasadi
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
@@ -107,18 +107,6 @@ TASKS = {
     "pvtol": Task(npred.plant(Aircraft), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 2),
     "planar_arm2": Task(npred.plant(Arm), 0.1, [(-20.0, 20.0), (-10.0, 10.0)]),
 }
-
-
-class OfCasadi:
-    """What `M` offers a plant, on CasADi's expressions."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(ca, name)
-
-    @staticmethod
-    def solve(A: Any, b: Any) -> list[Any]:
-        """The y of A y = b."""
-        return ca.vertsplit(ca.solve(ca.vertcat(*(ca.horzcat(*row) for row in A)), ca.vertcat(*b)))
 
 
 class LinearPredictor(npred.Predictor):

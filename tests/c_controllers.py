@@ -16,6 +16,16 @@ from npred.plants.inputs import Past
 from npred.prediction.methods import RK4
 
 needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no gcc on this machine")
+LANE_BY_LANE = """
+static inline void KERNEL(Shape d, const double *X, double t, double *U, double *work)
+{
+    const double p[1] = {0.0};
+    (void)t, (void)work;
+    for (int l = 0; l < d.lanes; l++) {
+        F(d.lanes, X + l, p, U + l);
+    }
+}
+"""  # a kernel of one formula F
 FLAGS = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion", "-Werror"]
 SIZES = """
 #include "npred.c"

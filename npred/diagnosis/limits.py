@@ -14,8 +14,7 @@ STEPS, MOST = 20, 2000  # control steps in a delay, at least, and in a loop, at 
 
 def applies(case: Case) -> bool:
     """True where a filter serves the plant, and its loops lead somewhere."""
-    serves = case.plant.traced and case.plant.one_delay and not case.plant.declares_delay
-    return case.plant.declares_safe and serves and case.sound and case.leads == "yes"
+    return case.plant.declares_safe and SafetyFilter.serves(case.plant) and case.sound and case.leads == "yes"
 
 
 def kept(case: Case) -> Verdict:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from c_controllers import InC, library, needs_gcc
+from c_controllers import LANE_BY_LANE, InC, library, needs_gcc
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
@@ -20,16 +20,6 @@ from npred.kernels.formula import function, vector
 from npred.kernels.kernel import made
 
 REALS = st.floats(-6, 6)
-ENTRY = """
-static inline void KERNEL(Shape d, const double *X, double t, double *U, double *work)
-{
-    const double p[1] = {0.0};
-    (void)t, (void)work;
-    for (int l = 0; l < d.lanes; l++) {
-        F(d.lanes, X + l, p, U + l);
-    }
-}
-"""
 SMOOTH = {  # of two reals: M's, and NumPy's on complex numbers
     "asin": (lambda a, b, M: M.asin(a / 7), lambda a, b: np.arcsin(a / 7)),
     "acos": (lambda a, b, M: M.acos(a / 7), lambda a, b: np.arccos(a / 7)),
@@ -76,7 +66,7 @@ def traced(formula):
 def compiled(formulas, count=4):
     """What takes `count` floats to the values of the formulas of x0, x1, … in C."""
     text = function("{name}", formulas, [vector("x", count)], {"y": len(formulas)}, 1)
-    kernel = made("mathematics", "X, t, &U", ENTRY, {"F": text})
+    kernel = made("mathematics", "X, t, &U", LANE_BY_LANE, {"F": text})
 
     def call(*values):
         U = np.empty((len(formulas), 3))

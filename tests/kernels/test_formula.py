@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_controllers import find_nothing, needs_gcc
+from c_controllers import LANE_BY_LANE, find_nothing, needs_gcc
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -26,22 +26,12 @@ from npred.loop.engine import LOOP, ON_A_CLOCK
 REALS = st.floats(0.1, 5) | st.floats(-5, -0.1) | st.just(0.0)
 CONDITIONS = ("lt", "le", "logical_and", "logical_or", "logical_not")
 NUMBERS = [op for op in OPS if op not in (*CONDITIONS, "interp")]
-BODY = """
-static inline void KERNEL(Shape d, const double *X, double t, double *U, double *work)
-{
-    const double p[1] = {0.0};
-    (void)t, (void)work;
-    for (int l = 0; l < d.lanes; l++) {
-        F(d.lanes, X + l, p, U + l);
-    }
-}
-"""
 
 
 def compiled(outputs, count):
     """What takes `count` floats to the values of outputs of x0, x1, …"""
     text = function("{name}", outputs, [vector("x", count)], {"y": len(outputs)}, 1)
-    kernel = made("formula", "X, t, &U", BODY, {"F": text})
+    kernel = made("formula", "X, t, &U", LANE_BY_LANE, {"F": text})
 
     def call(*values):
         U = np.empty((len(outputs), 3))

@@ -82,8 +82,8 @@ typedef struct {
 /* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
  * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
  * or were too old, `refused` those that were not believed, `missed` the last of these in a row, `renewed` how often
- * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where it found no plan that
- * keeps the limits, of which `kept` is the least when U acts. */
+ * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where it found no
+ * plan that keeps the limits, of which `kept` is the least when U acts. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;

@@ -192,6 +192,12 @@ static inline void condition(Conditions *q, const double *w, const double *a, do
     q->soft[q->rows++] = soft;
 }
 
+/* How long a block lasts. */
+static inline double PART(_length)(const Rollouts *r, int block)
+{
+    return r->edges[block] - (block > 0 ? r->edges[block - 1] : 0.0);
+}
+
 /* The next plan by the conditions that are linear around v, whose rollouts r are. Gives how far it goes from v. */
 static inline double PART(_replan)(const Rollouts *r, const double *s, const double *low, const double *high,
                                    const double *moved, double *v)
@@ -200,7 +206,7 @@ static inline double PART(_replan)(const Rollouts *r, const double *s, const dou
     double w[VARIABLES], next[VARIABLES], a[VARIABLES], farthest = 0.0;
     Conditions q = {.rows = 0};
     for (int j = 0; j < VARIABLES; j++) {
-        w[j] = s[WIDTHS + j % M] / sqrt(r->edges[j / M] - (j < M ? 0.0 : r->edges[j / M - 1]));
+        w[j] = s[WIDTHS + j % M] / sqrt(PART(_length)(r, j / M));
     }
     for (int row = 0; row < STEPS * ROOMS * ENDS; row++) {
         const double *const room = r->room + row / ENDS * count + row % ENDS * SIDE;
@@ -291,7 +297,7 @@ static APART double PART(_plan)(int lanes, int l, const double *ends, const doub
         }
         for (int j = 0; j < VARIABLES; j++) {
             const double share = v[j] / s[WIDTHS + j % M];
-            cost += share * share * (r->edges[j / M] - (j < M ? 0.0 : r->edges[j / M - 1]));
+            cost += share * share * PART(_length)(r, j / M);
         }
         if (room > -MISSED ? cost < LESS * least_cost || best <= -MISSED : room > best) {
             best = room;

@@ -42,6 +42,11 @@ class SafetyFilter:
         """How many predicted states the limits are kept from."""
         return 3 if self.delay else 1
 
+    @staticmethod
+    def serves(plant: "Plant") -> bool:
+        """True for a traced plant with one constant delay."""
+        return plant.traced and plant.one_delay and not plant.declares_delay
+
     def check(self, plant: "Plant") -> None:
         """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
         if not plant.declares_safe:
@@ -49,7 +54,7 @@ class SafetyFilter:
                 f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
                 f"plant {plant.name} has none; write it"
             )
-        if not plant.traced or not plant.one_delay or plant.declares_delay:
+        if not self.serves(plant):
             raise ConfigError(
                 f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
                 "keep its limits in kappa"

@@ -36,7 +36,7 @@ FOLLOW = "U0, U1, share, dt, t, p, law, &memory"
 CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
 OUTPUT = "X, t, p, &Y"  # the outputs that an observer of the state gets, one lane
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # observers of the state in Python: X_hat in place, and Y
-# U as near to what it is as keeps the limits of the states that are predicted for the moments when it acts
+# U, changed where the loop that follows, from the states predicted for the moments when U acts, would break a limit
 PROTECT = "ends, moments, p, safety, low, high, &U, &plan, &kept, &filtered, &unkept"
 CURES = {  # the cure for each part that does not serve a plant
     "picard": "use rk4",
