@@ -39,8 +39,8 @@ TIGHT = 0.02  # share of the variance of the parameters, in their deviations, th
 class Delays:
     """Delays (m,), their intervals (m, 2), and the profiles that these come from.
 
-    `several` is True where the data do not tell other minima from the best; `accurate` is False where RK4's steps
-    cannot be made fine enough.
+    `others` are the parameters at other minima that the data do not tell from the best; `accurate` is False where RK4's
+    steps cannot be made fine enough.
     """
 
     problem: Problem
@@ -50,7 +50,7 @@ class Delays:
     profiles: list[Profile]
     widths: np.ndarray
     inflation: float
-    several: bool
+    others: list[np.ndarray]
     accurate: bool
 
     @property
@@ -100,10 +100,10 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
         low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
         ends[j] = min(by_cost[0], low_draw), max(by_cost[1], high_draw)
     others = _other_minima(problem, fit, profiles, low, high, inflation)
-    for place, rise in others:
+    for place, rise, _ in others:
         if rise < FEW * CLEAR * inflation:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-    return Delays(problem, z, ends, fit, profiles, widths, inflation, bool(others), accurate)
+    return Delays(problem, z, ends, fit, profiles, widths, inflation, [theta for *_, theta in others], accurate)
 
 
 def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem, Problem, SegmentFit]:
@@ -163,9 +163,9 @@ def _starts(problem: Problem, low: np.ndarray, high: np.ndarray) -> list[Problem
 
 def _other_minima(
     problem: Problem, fit: SegmentFit, profiles: list[Profile], low: np.ndarray, high: np.ndarray, inflation: float
-) -> list[tuple[np.ndarray, float]]:
+) -> list[tuple[np.ndarray, float, np.ndarray]]:
     """Delays of local minima beyond the profiles, anywhere in the range, that are not clearly worse than the best, or
-    by few segments alone; and by how much.
+    by few segments alone; by how much; and the parameters there.
     """
     coarse, period = problem.some(COARSE), problem.segments.log.period
     best = coarse.fit(fit.delays, replace(coarse.begun(fit), theta=fit.best_theta))
@@ -181,7 +181,7 @@ def _other_minima(
             continue
         wrong = inflation > MISSING and other.cost < RIVAL * best.cost
         if wrong or not better(best, other, inflation, APART):
-            others.append((z, 0.0 if wrong else other.cost - best.cost))
+            others.append((z, 0.0 if wrong else other.cost - best.cost, other.best_theta))
     return others
 
 
@@ -252,8 +252,9 @@ def parameters(
     """The free parameters by name; how far the other ones are from the plant's, in shares of the allowed error; and a
     combination of the free ones that alone is known.
 
-    An interval is the least one around three: those of the cost's curvature at each delay that is possible, that of
-    drawing the segments anew, and, where it is wide, that of the profile over the other parameters and the delay.
+    An interval is the least one around four: those of the cost's curvature at each delay that is possible, that of
+    drawing the segments anew, the values at other minima, and, where it is wide, that of the profile over the other
+    parameters and the delay.
     """
     problem, names = delays.problem, [*plant.parameters, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
@@ -279,6 +280,9 @@ def parameters(
         low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
         slope = np.polyfit(profile.values[near], thetas, 1)[0] if len(near) > 2 else np.zeros(len(theta))
         moved.append(slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
+    for other in delays.others:
+        bounds = np.minimum(bounds[0], other), np.maximum(bounds[1], other)
+    low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
     covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
     covariance = covariance + sum(np.outer(each, each) for each in moved)
     size, free = np.sqrt(np.diag(covariance)), np.isinf(prior.deviation)

@@ -241,7 +241,7 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
         plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, lagged,
         np.ptp(log.U, axis=0) == 0,
         excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, delays.accurate,
-        delays.several, excitation.followed(log), alternatives.held_back(delays, high),
+        bool(delays.others), excitation.followed(log), alternatives.held_back(delays, high),
     )  # fmt: skip
     if findings.silent:
         findings.interval[:], asked = np.stack([0 * high, high], axis=1), {}

@@ -316,6 +316,23 @@ def test_two_inputs_that_move_together_have_no_delay_of_their_own():
     assert not found.identifiable.any() and "U and W move together" in str(found)
 
 
+def test_a_gain_is_known_up_to_an_exchange_of_equal_inputs():
+    """Two equal inputs whose delays and gains may be exchanged: each interval holds both gains."""
+
+    class Twins:
+        states, inputs, parameters = ("X",), ("U", "W"), {"a": 2.0, "b": 1.0}
+        f = lambda x, u, t, p, M: [p.a * u.U + p.b * u.W - x.X]
+        kappa = lambda x, t, p, M: [-x.X / p.a, 0.0]
+
+    f = lambda x, u: np.array([2.0 * u[0] + u[1] - x[0]])
+    u = np.repeat(steps(300, 1, 5, 1), 2, axis=1)
+    log = recording(f, [0.0], u, [0.2, 0.5], PERIOD, 0.01, 1)
+    found = npred.identify(npred.plants.make("twins", Twins), *log, free=["a", "b"])
+    assert not found.identifiable.any()
+    for low, high in found.parameter_intervals.values():
+        assert low < 1.05 and high > 1.95, found
+
+
 def test_one_bad_sample_costs_that_sample():
     t, U, X = decayed(0.337)
     clean = npred.identify(decay(), t, U, X, longest=1.5)
