@@ -1,6 +1,7 @@
 """Published experiments as one page, and as Markdown: published numbers beside measured ones."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from statistics import median
 from typing import Any, NamedTuple
@@ -18,7 +19,7 @@ ABOUT = (
     "As meant: the same quantity with the right plant, law, transport and metric. Networks are npred's, of the "
     "published kinds."
 )
-LEFT_OUT = "A table without `predictor` is of the numerical one; without `published`, the source prints no number."
+PRINTED = "The table has the first metric of which a source prints a number; `npred reproduce NAME` prints all."
 LINES = {
     "published": LineStyle("crimson", width=0, marker="X"),
     "npred's network": LineStyle("blue", width=0, marker="o"),
@@ -70,20 +71,25 @@ def page(results: Sequence[Reproduced]) -> str:
 
 
 def markdown(results: Sequence[Reproduced]) -> str:
-    """The rows as a page of the documentation; times and trainings are on the other page."""
-    lines = [f"# {TITLE}, measured", "", ABOUT, LEFT_OUT, "", *summary(results), ""]
-    for result in results:
-        lines += [f"## {_heading(result.name)}", "", f"`{result.name}`: {load(result.name).source}.", ""]
-        columns = [column for column in _rows(result).columns if {*map(column.text, column.values)} - {NUMERICAL, "–"}]
-        lines += [Table(result.name, "", columns).markdown(), ""]
-    return "\n".join(lines)
+    """The first metric of which a source prints a number, as a page of the documentation; the other page has all."""
+    printed = [result.model_copy(update={"rows": _first_printed(result)}) for result in results]
+    names = [f"`{result.name}`" if i == 0 else "" for result in printed for i in range(len(result.rows))]
+    alike = zip(*(_rows(result).columns for result in printed), strict=True)
+    others = [replace(columns[0], values=[v for column in columns for v in column.values]) for columns in alike]
+    table = Table("rows", "", [Column("experiment", names), *others])
+    return "\n".join([f"# {TITLE}, measured", "", ABOUT, PRINTED, "", *summary(results), "", table.markdown(), ""])
+
+
+def _first_printed(result: Reproduced) -> list[ReproducedRow]:
+    rows = [row for row, _ in _printed(result)]
+    return [row for row in rows if row.metric == rows[0].metric]
 
 
 def summary(results: Sequence[Reproduced]) -> list[str]:
     """The result, in at most three sentences, each counted from the rows."""
     printed = [(row, cells) for result in results for row, cells in _printed(result) if row.predictor == NUMERICAL]
     same = sum(cells[3] in cells[4:] for _, cells in printed)
-    sentences = [f"Of {len(printed)} printed numbers of numerical predictors, {same} come out here to every digit."]
+    sentences = [f"Of {len(printed)} printed numbers of numerical predictors, {same} have the same digits here."]
     pairs = [(e.published, e.measured) for e in excesses(results) if e.published and e.measured is not None]
     if pairs:
         nearer = sum(here < there for there, here in pairs)

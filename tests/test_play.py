@@ -194,13 +194,13 @@ def test_the_page_says_what_one_sees(look):
     page = look()
     assert sentence(page).startswith("Settled within 5 %") and sentence(page).endswith("D is 1.00 s.")
     page.uncheck("[name=predicts]")
-    page.wait_for_function("document.getElementById('play-sentence').textContent.startsWith('Lost')")
+    page.wait_for_function("document.getElementById('play-sentence').textContent.startsWith('Does not settle')")
     assert page.locator("#play input:disabled").count() == 2
     page.click("button[type=reset]")
     page.wait_for_function("document.getElementById('play-sentence').textContent.startsWith('Settled')")
     move(page, "gamma", page.evaluate("form.elements.gamma.min"))
     assert page.get_by_label("Gain γ").get_attribute("aria-valuetext") == "0: D̂ stays"
-    assert sentence(page).startswith("Lost") and "D̂ ends at 2.00 s" in sentence(page)
+    assert sentence(page).startswith("Does not settle") and "D̂ ends at 2.00 s" in sentence(page)
     move(page, "D_hat", 1)
     assert sentence(page).startswith("Settled")
     page.select_option("[name=scene]", "1")
@@ -211,7 +211,7 @@ def test_the_page_says_what_one_sees(look):
 def test_what_the_page_tells_to_try_is_so(look):
     page = look()
     move(page, "D", 2.5)
-    assert sentence(page).startswith("Lost")
+    assert sentence(page).startswith("Does not settle")
     move(page, "gamma", 2)
     assert sentence(page).startswith("Settled")
 
@@ -220,8 +220,8 @@ def test_what_the_page_tells_to_try_is_so(look):
     ("course", "said"),
     [
         pytest.param("k === 5 ? 0.06 : 0.0", "Settled within 5 % at t = 0.6 s.", id="settled"),
-        pytest.param("k === 5 ? NaN : 0.0", "Lost at t = 0.5 s: the state leaves the finite numbers.", id="not finite"),
-        pytest.param("0.5 * (-1) ** k", "Lost: x swings between −0.5 and 0.5 at the end.", id="swings"),
+        pytest.param("k === 5 ? NaN : 0.0", "Overflows at t = 0.5 s.", id="not finite"),
+        pytest.param("0.5 * (-1) ** k", "Does not settle: x swings between −0.5 and 0.5 at the end.", id="swings"),
         pytest.param("2 * Math.exp(-k / 50)", "Not settled in 10 s, but the swings become smaller.", id="slowly"),
         pytest.param("0.11", "Not settled in 10 s: it stays within 11 % of rest at the end.", id="near"),
     ],

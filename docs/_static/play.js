@@ -6,7 +6,7 @@ const panels = document.getElementById("play-panels");
 const SVG = "http://www.w3.org/2000/svg";
 const SETTLED = 0.05; // of a figure's range
 const NEAR = 0.2; // likewise
-const SHRINKS = 0.8; // swings that shrink by less from a quarter of the time to the next one are lost
+const SHRINKS = 0.8; // swings that shrink by less from a quarter of the time to the next one do not become smaller
 const SLIDERS = ["D", "D_hat", "gamma", "noise"];
 const SIZES = { left: 44, right: 8, top: 6, bottom: 30 }; // room around a figure, in pixels
 const modules = new Map(); // the compiled loop of each scene
@@ -65,13 +65,13 @@ const seconds = (value) => `${value.toFixed(2)} s`;
 function outcome({ of, rows }) {
   const dt = of.dt * of.every, far = rows.map((row) => distance(of, row)), quarter = Math.floor(far.length / 4);
   const broken = far.findIndex((value) => !Number.isFinite(value)), out = far.findLastIndex((value) => value > SETTLED);
-  if (broken >= 0) return `Lost at t = ${(broken * dt).toFixed(1)} s: the state leaves the finite numbers.`;
+  if (broken >= 0) return `Overflows at t = ${(broken * dt).toFixed(1)} s.`;
   if (out < far.length - quarter) return `Settled within 5 % at t = ${((out + 1) * dt).toFixed(1)} s.`;
   const [before, last] = [far.slice(-2 * quarter, -quarter), far.slice(-quarter)].map((part) => Math.max(...part));
   if (last < NEAR) return `Not settled in ${of.t_end} s: it stays within ${Math.ceil(100 * last)} % of rest at the end.`;
   if (last < SHRINKS * before) return `Not settled in ${of.t_end} s, but the swings become smaller.`;
   const i = of.states.length - 1, ends = rows.slice(-quarter).map((row) => row[i]);
-  return `Lost: ${of.states[i]} swings between ${short(Math.min(...ends))} and ${short(Math.max(...ends))} at the end.`;
+  return `Does not settle: ${of.states[i]} swings between ${short(Math.min(...ends))} and ${short(Math.max(...ends))} at the end.`;
 }
 
 function sentence(loop) {

@@ -20,7 +20,7 @@ static void control_now(const double *X, double t, double *U)
     clip(the_shape, the_input_bounds, U);
 }
 
-/* Rows of X, U and D_hat, one each EVERY control steps; NaN from where the loop leaves the finite numbers. */
+/* Rows of X, U and D_hat, one each EVERY control steps; NaN after the loop overflows. */
 const double *play(double D, double D_hat, double gamma, double noise, int predicts)
 {
     const double zeros[N] = {0.0};

@@ -1,5 +1,6 @@
 """Every registered experiment: complete, and as the page about it shows it."""
 
+import json
 import re
 from pathlib import Path
 
@@ -14,8 +15,10 @@ from npred_experiments.planner import ExperimentPlanner
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "reproduce.md").read_text()
-MEASURED = (DOCS / "published.md").read_text().replace("−", "-").split("\n## ")
+PUBLISHED = (DOCS / "published.md").read_text().replace("−", "-").splitlines()
+MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())  # npred reproduce --numerical --json
 NAMES = EXPERIMENTS.names()
+LABELS = ("predictor", "metric", "published")
 FILES = Path(npred_experiments.__file__).parent.glob("*.py")
 
 
@@ -44,20 +47,36 @@ def test_an_experiment_is_keyed_by_what_it_imports():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_the_page_shows_what_the_command_prints(name: str):
+def test_the_command_prints_the_numbers_of_the_page_and_those_that_were_measured_before(name: str):
     place = Place(Path("none"), Path("none"), Console())
     result = rows.joined([load(name).measured(name, NUMERICAL, place)], networks=False)
-    section = next(part for part in MEASURED if f"\n`{name}`: " in part)
-    lines = [re.split(r"(?<!\\) ?\| ?", line)[1:-1] for line in section.splitlines() if line.startswith("|")]
-    left_out = {"predictor": NUMERICAL, "published": "–", "as published": "–"}
-    shown = [left_out | dict(zip(lines[0], line, strict=True)) for line in lines[2:]]
+    (before,) = (each["rows"] for each in MEASURED["experiments"] if each["name"] == name)
+    for row, old in zip(result.json_object()["rows"], before, strict=True):
+        assert [row[key] for key in LABELS] == [old[key] for key in LABELS]
+        assert all(_close(row[key], old[key]) for key in ("as_published", "as_meant"))
+    shown = _shown(name)
+    assert shown or not any(row["published"] is not None for row in before)
     for _, predictor, metric, published, as_published, as_meant in rows.cells_of(result):
-        (near,) = (r for r in shown if (r["predictor"], r["metric"]) == (predictor, metric.replace("|", "\\|")))
-        assert near["published"] == published
+        if (predictor, metric) not in shown:
+            continue
+        assert shown[predictor, metric][0] == published
         if "e-" not in as_published:  # a rounding error is another on another machine
-            exact = [near["as published"], near["as meant"]] == [as_published, as_meant]
-            assert exact or _close(near["as meant"], as_meant)
+            exact = shown[predictor, metric][1:] == [as_published, as_meant]
+            assert exact or _close(float(shown[predictor, metric][2]), float(as_meant))
 
 
-def _close(left: str, right: str) -> bool:
-    return abs(float(left) - float(right)) <= 1e-6 * abs(float(left)) + 1e-6
+def _shown(name: str) -> dict[tuple[str, str], list[str]]:
+    """The page's numbers of an experiment by predictor and metric."""
+    shown, of = {}, ""
+    for line in (line for line in PUBLISHED if line.startswith("| ")):
+        first, predictor, metric, *numbers = (c.strip() for c in re.split(r"(?<!\\)\|", line)[1:-1])
+        of = first.strip("`") or of
+        if of == name:
+            shown[predictor, metric.replace("\\|", "|")] = numbers
+    return shown
+
+
+def _close(left: float | None, right: float | None) -> bool:
+    if left is None or right is None:
+        return left is right
+    return abs(left - right) <= 1e-6 * abs(left) + 1e-6
