@@ -16,7 +16,7 @@ from npred.prediction.delays import problem_of
 
 if TYPE_CHECKING:
     from npred.diagnosis.adaptive_loop import AdaptiveLoops
-    from npred.diagnosis.loops import Outcome
+    from npred.diagnosis.loops import Ensemble
 
 Verdict = tuple[Literal["yes", "warn", "no"], str] | tuple[Literal["yes", "warn", "no"], str, dict[str, Any]]
 SHOWN = 3  # states in a sentence, at most
@@ -72,7 +72,7 @@ class Case:
     u0: Any = None
     experiment: PlannedExperiment | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
-    outcomes: "dict[float, Outcome]" = field(default_factory=dict)
+    ensembles: "dict[float, Ensemble]" = field(default_factory=dict)
 
     def ask(self, question: Check) -> Answer | None:
         """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""

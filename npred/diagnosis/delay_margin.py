@@ -90,12 +90,12 @@ def bears(case: Case) -> Verdict:
     if not loops.applies(case):
         return "yes", f"{text}; no loop was simulated", figures
     inside = 0.0 if low == -D else D + INSIDE * low, D + INSIDE * high if high < np.inf else LONGEST * D
-    each = [loops.outcome(case, float(D_hat)) for D_hat in inside]
+    each = [loops.ensemble(case, float(D_hat)) for D_hat in inside]
     figures["loops"] = [one.figures for one in each]
-    if all(one.fate.kept.all() for one in each):
+    if not any(one.fails.any() for one in each):
         kept = " and ".join(shown(one.D_hat, ".4g") for one in each)
         return "yes", f"{text}, and loops from the box too, with D_hat = {kept}", figures
-    failing = (f"with D_hat = {shown(one.D_hat, '.4g')} {one.text()}" for one in each if not one.fate.kept.all())
+    failing = (f"with D_hat = {shown(one.D_hat, '.4g')} {one.text()}" for one in each if one.fails.any())
     return "warn", f"{text}, but for small states only: from the box, {'; '.join(failing)}", figures
 
 

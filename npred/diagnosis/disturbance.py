@@ -7,7 +7,7 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.diagnosis import loops
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.loops import Outcome, simulated
+from npred.diagnosis.loops import Ensemble, simulated
 from npred.estimation.observers import EKF
 
 SHARE = 0.1  # of the range of an input
@@ -33,12 +33,12 @@ def rejected(case: Case) -> Verdict:
     k = int(np.argmax(pushes[worst]))
     size = case.amount(plant.inputs[k], sizes[k])
     text = f"a constant disturbance of {size} at {plant.inputs[k]}, a tenth of its range,"
-    figures: dict[str, Any] = {"disturbance": dict(zip(plant.inputs, sizes.tolist(), strict=True))}
-    figures["offset"] = dict(zip(plant.states, offsets[worst].tolist(), strict=True))
+    figures: dict[str, Any] = {"disturbance": loops.numbers(plant.inputs, sizes)}
+    figures["offset"] = loops.numbers(plant.states, offsets[worst])
     if all(each.fate.settled.all() for each in bare):
         return "yes", f"{text} leaves every state within 1 % of half the box", figures
     far = np.abs(offsets[worst])
-    if bare[worst].steady.all():
+    if bare[worst].still.all():
         text += f" leaves {case.amounts(far, far > NEAR * case.width)} off"
     else:
         end = (
@@ -52,7 +52,7 @@ def rejected(case: Case) -> Verdict:
     return "yes" if cure and case.experiment and case.experiment.offset else "warn", f"{text}{cure}", figures
 
 
-def _disturbed(case: Case, push: np.ndarray, **parts: Any) -> Outcome:
+def _disturbed(case: Case, push: np.ndarray, **parts: Any) -> Ensemble:
     """The loop with D_hat = D from rest, and a constant disturbance (m,)."""
     rest = case.plant.equilibrium[None]
     return simulated(case, case.D, rest, NEAR, u0="equilibrium", disturbance=lambda t: push, **parts)

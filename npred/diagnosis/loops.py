@@ -1,6 +1,7 @@
 """Loops of a case: what becomes of them, and their simulation from the box until they settle or are seen not to."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +24,7 @@ FALLING = 0.9  # a loop that still converges is this much closer in the last qua
 
 STARTS, CORNERS, INSIDE = 16, 8, 0.99  # loops of a D_hat, those from corners of the box, which are so near its ends
 FIRST, TIMES = 8.0 / SPAN, 16  # share of the horizon that is looked at first, and how many times that at most
+DELAYS = 10  # delays that a loop lasts at least: a stiff plant's would take too many steps
 STEPS, NODES = (10, 50), 41  # control steps in D and nodes of the prediction, at least
 FINE = 20  # control steps in a step of RK4, which are as many as it takes
 WORK = 5e5  # nodes times control steps of a loop, at most
@@ -62,6 +64,11 @@ class Fate(NamedTuple):
             "settling_time_median": float(np.median(times)) if times.size else None,
             "settling_time_largest": float(times.max()) if times.size else None,
         }
+
+
+def numbers(names: Sequence[str], values: np.ndarray) -> dict[str, float | None]:
+    """Values by name for a document, None where one is not finite."""
+    return {name: value if math.isfinite(value) else None for name, value in zip(names, values.tolist(), strict=True)}
 
 
 def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME) -> Fate:
@@ -117,7 +124,8 @@ def step(case: Case, steps: tuple[int, int] = STEPS) -> float:
 def applies(case: Case) -> bool:
     """True where loops of kappa lead somewhere, and to simulate them takes no more than moments."""
     small = case.experiment is not None or case.plant.n <= LARGEST
-    return case.plant.traced and small and case.sound and case.leads == "yes"
+    simple = case.plant.traced and small and case.sound and case.leads == "yes"
+    return simple and longest(case, case.D) > DELAYS * case.D
 
 
 def starts(case: Case) -> np.ndarray:
@@ -131,16 +139,19 @@ def starts(case: Case) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Loops (B,) from X0 with a constant D_hat: their fates, how long each was looked at, the ends between which each
-    state was, (B, n), at any time (`low`, `high`) and in the last quarter (`last_low`, `last_high`), and how far it
-    went past its target, `past`.
+class Ensemble:
+    """Loops (B,) with a constant D_hat: their fates, how long each was looked at, and whether it oscillates at the end.
+
+    `last_low`, `last_high` are the ends (B, n) between which the states are in the last quarter, `low`, `high` those at
+    any time, `past` is how far each went past its target. `enough` is how long the slowest linear motion takes.
     """
 
     case: Case
     D_hat: float
+    enough: float
     fate: Fate
     looked: np.ndarray
+    oscillates: np.ndarray
     low: np.ndarray
     high: np.ndarray
     last_low: np.ndarray
@@ -150,22 +161,34 @@ class Outcome:
     @property
     def far(self) -> np.ndarray:
         """True (B,) for loops that left the finite numbers, or soon will."""
-        return ~((np.maximum(np.abs(self.last_low), np.abs(self.last_high)) / self.case.width).max(axis=1) < FAR)
+        target = self.case.plant.target(0.0)
+        reach = np.maximum(self.last_high - target, target - self.last_low) / self.case.width
+        return ~(reach.max(axis=1) < FAR)
 
     @property
     def lost(self) -> np.ndarray:
         """True (B,) for loops that leave every bound."""
-        return self.far | (~self.fate.kept & self.fate.growing)
+        return ~self.fate.kept & (self.far | self.fate.growing)
 
     @property
     def swings(self) -> np.ndarray:
-        """True (B,) for loops that neither settle nor rest elsewhere, and stay bounded."""
-        return ~(self.fate.kept | self.lost | self.steady)
+        """True (B,) for loops that oscillate, and neither come nearer nor leave every bound."""
+        return self.oscillates & ~(self.fate.kept | self.lost)
+
+    @property
+    def still(self) -> np.ndarray:
+        """True (B,) for loops that no longer move."""
+        return ~self.far & ((self.last_high - self.last_low) / self.case.width <= HOME).all(axis=1)
 
     @property
     def steady(self) -> np.ndarray:
-        """True (B,) for loops that have come to rest, wherever that is."""
-        return ~self.far & ((self.last_high - self.last_low) / self.case.width <= HOME).all(axis=1)
+        """True (B,) for loops that do not settle, and have come to rest elsewhere."""
+        return self.still & (self.looked >= self.enough) & ~(self.fate.kept | self.lost)
+
+    @property
+    def fails(self) -> np.ndarray:
+        """True (B,) for loops of which it is seen that they do not settle."""
+        return self.swings | self.lost | self.steady
 
     @property
     def offset(self) -> np.ndarray:
@@ -179,28 +202,24 @@ class Outcome:
 
     def text(self) -> str:
         """What became of the loops, in words."""
-        case, fate, time = self.case, self.fate, self.case.plant.time_text
-        elsewhere = ~(fate.kept | self.lost | self.swings)
-        parts = []
+        fate, looked = self.fate, self.case.plant.time_text(self.looked.max(), ".3g")
+        parts = {
+            f"still converge after {looked}": fate.nearing,
+            f"have not settled after {looked}, as long as was looked": ~(fate.kept | self.fails),
+            "are lost": self.lost,
+        }
         if fate.settled.any():
-            parts.append(fate.text(case))
-        if (late := fate.nearing).any():
-            parts.append(f"still converge after {time(self.looked[late].max(), '.3g')}")
+            parts = {fate.text(self.case): fate.settled, **parts}
         if self.swings.any():
             low, high = self.last_low[self.swings].min(axis=0), self.last_high[self.swings].max(axis=0)
-            i = int(np.argmax((high - low) / case.width > HOME))  # the first of those that swing
-            parts.append(
-                f"swing, {case.plant.states[i]} between {low[i]:.3g} and {case.amount(case.plant.states[i], high[i])}"
-            )
-        if elsewhere.any():
-            first = int(np.argmax(elsewhere))
-            parts.append(f"rest elsewhere, as at {case.state((self.last_low + self.last_high)[first] / 2)}")
-        if self.lost.any():
-            parts.append("are lost")
-        shares = [each.mean() for each in (fate.settled, fate.nearing, self.swings, elsewhere, self.lost) if each.any()]
-        return ", ".join(
-            f"{'all' if share == 1 else f'{share:.0%}'} {part}" for share, part in zip(shares, parts, strict=True)
-        )
+            i = int(np.argmax((high - low) / self.case.width > HOME))  # the first state that swings
+            name = self.case.plant.states[i]
+            parts[f"swing, {name} between {low[i]:.3g} and {self.case.amount(name, high[i])}"] = self.swings
+        if self.steady.any():
+            rest = (self.last_low + self.last_high)[np.argmax(self.steady)] / 2
+            parts[f"rest elsewhere, as at {self.case.state(rest)}"] = self.steady
+        shares = {words: "all" if of.all() else f"{of.mean():.0%}" for words, of in parts.items() if of.any()}
+        return ", ".join(f"{share} {words}" for words, share in shares.items())
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -210,29 +229,30 @@ class Outcome:
             "D_hat": self.D_hat,
             **self.fate.figures,
             "swinging": float(self.swings.mean()),
+            "resting_elsewhere": float(self.steady.mean()),
             "lost": float(self.lost.mean()),
-            "overshoot": dict(zip(states, self.overshoot.tolist(), strict=True)),
-            "last_low": dict(zip(states, self.last_low.min(axis=0).tolist(), strict=True)),
-            "last_high": dict(zip(states, self.last_high.max(axis=0).tolist(), strict=True)),
+            "overshoot": numbers(states, self.overshoot),
+            "last_low": numbers(states, self.last_low.min(axis=0)),
+            "last_high": numbers(states, self.last_high.max(axis=0)),
         }
 
 
-def outcome(case: Case, D_hat: float) -> Outcome:
+def ensemble(case: Case, D_hat: float) -> Ensemble:
     """Loops from the box with a constant D_hat, simulated once for all questions."""
-    if D_hat not in case.outcomes:
+    if D_hat not in case.ensembles:
         near = HOME if case.plant.rests else FOLLOWS
-        case.outcomes[D_hat] = simulated(case, D_hat, starts(case), near)
-    return case.outcomes[D_hat]
+        case.ensembles[D_hat] = simulated(case, D_hat, starts(case), near)
+    return case.ensembles[D_hat]
 
 
-def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **parts: Any) -> Outcome:
+def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **parts: Any) -> Ensemble:
     """Loops from X0 (B, n), each for longer and longer until it settles, is lost, or neither comes nearer nor grows."""
-    plant, dt, lanes, shape = case.plant, step(case), np.arange(len(X0)), (len(X0), case.plant.n)
-    fates = Fate(np.full(len(X0), np.inf), np.zeros(len(X0), bool), np.zeros(len(X0), bool))
-    looked, ends = np.zeros(len(X0)), np.zeros((5, *shape))
-    linear = case.D + D_hat + FIRST * times(case)[2]
-    longest = min(TIMES * linear, dt * WORK / nodes(case, D_hat), dt * MOST)
-    t_end = first = min(linear, longest / 2)
+    plant, dt, lanes, count = case.plant, step(case), np.arange(len(X0)), len(X0)
+    fates = Fate(np.full(count, np.inf), np.zeros(count, bool), np.zeros(count, bool))
+    looked, oscillates, ends = np.zeros(count), np.zeros(count, bool), np.zeros((5, count, plant.n))
+    enough = case.D + D_hat + FIRST * times(case)[2]
+    most = longest(case, D_hat)
+    t_end = first = min(enough, most / 2)
     while True:
         loops = run(case, D_hat, X0[lanes], t_end, dt, **parts)
         X, late, now = loops.X, loops.X[:, -(loops.X.shape[1] // 4) :], fate(case, loops.X, loops.t[-1], near)
@@ -241,9 +261,25 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
         with np.errstate(all="ignore"):
             error = X - plant.target(loops.t)
             past = (-np.sign(error[:, :1]) * error).max(axis=1, initial=0.0)
-        looked[lanes], ends[:, lanes] = t_end, (X.min(axis=1), X.max(axis=1), late.min(axis=1), late.max(axis=1), past)
-        result = Outcome(case, D_hat, fates, looked, *ends)
-        unsure = ~now.settled & ~result.far[lanes] & (now.nearing | now.growing | (t_end == first))
-        if not unsure.any() or 2 * t_end > longest:
+        looked[lanes], oscillates[lanes] = t_end, _oscillates(late, case.width)
+        ends[:, lanes] = X.min(axis=1), X.max(axis=1), late.min(axis=1), late.max(axis=1), past
+        result = Ensemble(case, D_hat, enough, fates, looked, oscillates, *ends)
+        unsure = ~now.settled & ~result.far[lanes] & (now.nearing | now.growing | (t_end < min(2 * first, enough)))
+        if not unsure.any() or 2 * t_end > most:
             return result
         lanes, t_end = lanes[unsure], 2 * t_end
+
+
+def longest(case: Case, D_hat: float) -> float:
+    """How long loops are looked at, at most."""
+    dt = step(case)
+    linear = case.D + D_hat + FIRST * times(case)[2]
+    return min(TIMES * linear, dt * WORK / nodes(case, D_hat), dt * MOST)
+
+
+def _oscillates(X: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """True (B,) where a state of X (B, nt, n) is, in both halves of the time, in much the same range."""
+    first, second = np.array_split(X, 2, axis=1)
+    low, high = np.maximum(first.min(axis=1), second.min(axis=1)), np.minimum(first.max(axis=1), second.max(axis=1))
+    span = np.ptp(X, axis=1)
+    return ((span > HOME * width) & (high - low > span / 2)).any(axis=1)

@@ -159,8 +159,10 @@ def test_a_heater_with_a_fan_is_offered_integral_action():
 @pytest.mark.parametrize("name", ["transport_tank", "cart_pole"])
 def test_no_cure_is_promised_that_was_not_simulated(name):
     """No observer serves a plant that declares its delay; the cart-pole with 1 s of delay is lost with one, too."""
-    row = answers(npred.plant(name), 1.0)["disturbance"]
-    assert row.verdict == "warn" and "observer" not in row.text
+    done = CliRunner().invoke(app, ["plants", "check", name, "--delay", "1", "--json"])
+    (row,) = [row for row in json.loads(done.stdout)["answers"] if row["check"] == "disturbance"]
+    assert row["verdict"] == "warn" and "observer" not in row["text"]
+    assert (None in row["figures"]["offset"].values()) == (name == "cart_pole")
 
 
 def test_a_plant_that_is_called_gets_no_loops_and_no_promise_of_them(tmp_path):
