@@ -43,8 +43,8 @@ class Check(NamedTuple):
 @dataclass(frozen=True)
 class PlannedExperiment:
     """The task for a plant: the ranges and input bounds that come before its own, the names of the delay
-    laws that run, the length of the loops in seconds, the true delay of the loops, whether an observer estimates an
-    offset, and the loops of the paper's law, if it is to be evaluated.
+    laws that run, the length of the loops in seconds, the true delay of the loops, and the loops of the paper's law, if
+    it is to be evaluated.
     """
 
     box: Mapping[str, tuple[float, float]]
@@ -52,7 +52,6 @@ class PlannedExperiment:
     laws: Collection[str]
     seconds: float
     D: float | None = None
-    offset: bool = False
     adaptive: "Callable[[Case], AdaptiveLoops] | None" = None
 
 

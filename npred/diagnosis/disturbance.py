@@ -49,7 +49,7 @@ def rejected(case: Case) -> Verdict:
         text += f" takes the loop from rest: it {end}"
     cure, seconds = _cure(case, pushes)
     figures["settling_time_with_offset"] = seconds
-    return "yes" if cure and case.experiment and case.experiment.offset else "warn", f"{text}{cure}", figures
+    return "yes" if cure else "warn", f"{text}{cure}", figures
 
 
 def _disturbed(case: Case, push: np.ndarray, **parts: Any) -> Ensemble:

@@ -131,7 +131,7 @@ def converges(case: Case) -> Verdict:
 def approach(case: Case, X0: np.ndarray) -> Fate:
     """The fate of loops without delay from X0 (B, n)."""
     closed, (h, seconds, _) = _closed(case), times(case)
-    nodes = max(int(seconds / h), 4) + 1
+    nodes = max(int(seconds / h), 600) + 1  # a time constant has 20, at least
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
     return fate(case, X, seconds)
 

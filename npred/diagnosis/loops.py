@@ -264,7 +264,7 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
         looked[lanes], oscillates[lanes] = t_end, _oscillates(late, case.width)
         ends[:, lanes] = X.min(axis=1), X.max(axis=1), late.min(axis=1), late.max(axis=1), past
         result = Ensemble(case, D_hat, enough, fates, looked, oscillates, *ends)
-        unsure = ~now.settled & ~result.far[lanes] & (now.nearing | now.growing | (t_end < min(2 * first, enough)))
+        unsure = ~now.settled & ~result.far[lanes] & (now.nearing | now.growing | (t_end == first))
         if not unsure.any() or 2 * t_end > most:
             return result
         lanes, t_end = lanes[unsure], 2 * t_end

@@ -101,7 +101,7 @@ def test_the_settling_time_is_that_of_the_loops():
     """|x| falls as e^-t, from the time on at which the first command acts, to 2 % of half the box."""
     D, found = 0.5, answers(line(), 0.5)
     largest = np.log(np.abs(Case(line(), D, 101, 256).X[:64]).max() / 0.02)
-    assert found["convergence"].figures["settling_time_largest"] == pytest.approx(largest, abs=0.26)
+    assert found["convergence"].figures["settling_time_largest"] == pytest.approx(largest, abs=0.051)
     assert f"{found['convergence'].figures['settling_time_largest']:.3g} s (slowest)" in found["convergence"].text
     exact, h = found["prediction"].figures["with"], found["prediction"].figures["dt"]
     rate = -np.log(2 - np.exp(h)) / h  # of commands that are held
@@ -139,7 +139,7 @@ def test_a_heater_with_a_fan_is_offered_integral_action():
     """The lag is 10 s. The check offers the observer; it takes the offset that a fan causes to less than 1 K."""
     plant, D = Plant("heater", Heater), 3.0
     row = answers(plant, D)["disturbance"]
-    assert row.verdict == "warn"
+    assert row.verdict == "yes"
     size, off, seconds = map(float, re.fullmatch(
         r"a constant disturbance of (\S+) W at power, a tenth of its range, leaves T (\S+) K off; an observer with "
         r"offset=True takes it away, to 1 % of half the box in (\S+) s", row.text,
@@ -220,9 +220,3 @@ def test_the_loops_of_a_pipeline_have_its_delay_not_its_longest_estimate(tmp_pat
     low, high = npred.delay_margin(npred.plant("scalar"), 0.7)
     figures = rows["delay margin"]["figures"]
     assert (figures["low"], figures["high"]) == pytest.approx((0.7 + low, 0.7 + high))
-
-
-def test_a_pipeline_whose_observer_has_offset_is_not_warned(tmp_path):
-    text = 'plant = "chemostat"\n[evaluate]\nX0 = [2.0, 2.0]\nD = 0.5\nD_hat0 = 0.5\nadaptation = "frozen"\n'
-    (tmp_path / "p.toml").write_text(f'{text}actuator = "history"\nobserver = {{ outputs = ["S"], offset = true }}\n')
-    assert checked(tmp_path / "p.toml")[1]["disturbance"]["verdict"] == "yes"

@@ -72,9 +72,8 @@ class PipelineFit:
         boxes = generate.box if table is generate else {}
         laws = [table.adaptation for table in (*self.loops.values(), *self.scenarios) if table.adaptation is not None]
         adaptive = self._adaptive if evaluate.adaptation == PAPER else None
-        integral = evaluate.observer is not None and evaluate.observer.offset
         D = evaluate.D if delay is None and not self.plant.declares_delay and "evaluate" in self.loops else None
-        asked = PlannedExperiment(boxes, table.input_bounds, laws, evaluate.case_t_end, D, integral, adaptive)
+        asked = PlannedExperiment(boxes, table.input_bounds, laws, evaluate.case_t_end, D, adaptive)
         if delay is not None:
             source = "as asked"
         elif self.plant.declares_delay:
