@@ -125,7 +125,7 @@ def applies(case: Case) -> bool:
     """True where loops of kappa lead somewhere, and to simulate them takes no more than moments."""
     small = case.experiment is not None or case.plant.n <= LARGEST
     simple = case.plant.traced and small and case.sound and case.leads == "yes"
-    return simple and longest(case, case.D) > DELAYS * case.D
+    return simple and spans(case, case.D)[1] > DELAYS * case.D
 
 
 def starts(case: Case) -> np.ndarray:
@@ -250,8 +250,7 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
     plant, dt, lanes, count = case.plant, step(case), np.arange(len(X0)), len(X0)
     fates = Fate(np.full(count, np.inf), np.zeros(count, bool), np.zeros(count, bool))
     looked, oscillates, ends = np.zeros(count), np.zeros(count, bool), np.zeros((5, count, plant.n))
-    enough = case.D + D_hat + FIRST * times(case)[2]
-    most = longest(case, D_hat)
+    enough, most = spans(case, D_hat)
     t_end = first = min(enough, most / 2)
     while True:
         loops = run(case, D_hat, X0[lanes], t_end, dt, **parts)
@@ -270,11 +269,10 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
         lanes, t_end = lanes[unsure], 2 * t_end
 
 
-def longest(case: Case, D_hat: float) -> float:
-    """How long loops are looked at, at most."""
-    dt = step(case)
-    linear = case.D + D_hat + FIRST * times(case)[2]
-    return min(TIMES * linear, dt * WORK / nodes(case, D_hat), dt * MOST)
+def spans(case: Case, D_hat: float) -> tuple[float, float]:
+    """How long the slowest linear motion takes to settle, and how long loops are looked at, at most."""
+    enough, dt = case.D + D_hat + FIRST * times(case)[2], step(case)
+    return enough, min(TIMES * enough, dt * WORK / nodes(case, D_hat), dt * MOST)
 
 
 def _oscillates(X: np.ndarray, width: np.ndarray) -> np.ndarray:

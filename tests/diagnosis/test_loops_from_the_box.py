@@ -109,6 +109,20 @@ def test_the_settling_time_is_that_of_the_loops():
     assert exact["overshoot"]["x"] < 1e-6
 
 
+def test_loops_that_creep_for_longer_than_is_looked_are_not_said_to_rest_elsewhere():
+    """A state of a rate of 1e-3 / s beside one of 100 / s."""
+
+    class Creep:
+        states, inputs, box = ("x", "y"), ("u",), {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+        f = lambda x, u, t, p, M: [-1e-3 * x.x, -100 * x.y + u.u]
+        kappa = lambda x, t, p, M: [-x.y]
+
+    found = answers(Plant("creep", Creep), 0.5)
+    row = found["prediction"]
+    assert row.verdict == "yes" and "have not settled after" in row.text and "as long as was looked" in row.text
+    assert "elsewhere" not in row.text and found["delay margin"].verdict == "yes"
+
+
 def test_a_plant_that_needs_no_predictor_is_named():
     slow = answers(line(parameters={"a": -0.1}, kappa=lambda x, t, p, M: [-0.1 * x.x]), 0.1)["prediction"]
     assert slow.verdict == "yes" and slow.text.startswith("you need no predictor: 16 loops from the box, D = 0.1 s")
