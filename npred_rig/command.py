@@ -12,8 +12,10 @@ class Rigged(Planned):
     """Flags of `npred rig`: its length, its network, and the parts of the controller that are not in [evaluate]."""
 
     seconds: Annotated[float, flag("How long it runs.")] = 60.0
-    delay: Annotated[float, flag("Delay in each direction, in seconds; the plant's D adds to that of commands.")] = 0.12
-    jitter: Annotated[float, flag("The largest deviation of that delay, in seconds.")] = 0.02
+    latency: Annotated[float, flag("Delay of the network in each direction, in seconds; the plant's D adds to it.")] = (
+        0.12
+    )
+    jitter: Annotated[float, flag("The largest deviation of the latency, in seconds.")] = 0.02
     loss: Annotated[float, flag("Share of packets that are lost.")] = 0.0
     reorder: Annotated[float, flag("Share of packets that take twice their time.")] = 0.0
     stops: Annotated[float, flag("Times per minute that the network stands still for 200 ms.")] = 0.0

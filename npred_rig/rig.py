@@ -37,7 +37,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     """Run it and report its log. Raises NpredError where a side was lost, UnmetError where the loop was."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
-    channel = Channel(options.delay, options.jitter, options.loss, options.reorder, options.stops, options.seed)
+    channel = Channel(options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed)
     path, plot = writable(output or Path(f"{options.config.name}-rig.csv")), figure and drawable(figure)
     plant = plants.resolve(*options.config.of_plant)
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
@@ -123,7 +123,7 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
         options.console.warn(export.RECALLS)
     sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
     if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
-        cure = "leave it out, and describe the network by --delay, --jitter, --loss and --stops"
+        cure = "leave it out, and describe the network by --latency, --jitter, --loss and --stops"
         raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
     if table.X0:
         loop_checks.start(plant, np.array(table.X0))

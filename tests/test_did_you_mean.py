@@ -35,6 +35,7 @@ TANK = plants.make("tank", Tank)
 PIPELINE = {"plant": "scalar", "evaluate": {"X0": [1.0]}}
 COMMANDS = {  # what is written after npred, and the name that was meant
     "trian": "train",
+    "check": "plants check",
     "plants check tank": "tank.py",
     "plants check tank.py:tank": "Tank",
     "train smoke --modell fno": "model",

@@ -8,12 +8,13 @@ import traceback
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import fields
+from difflib import get_close_matches
 from functools import partial
 from typing import Annotated, Any, get_type_hints
 
 import typer
 import typer.main
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 import npred
 from npred.base.errors import ConfigError, NpredError, first_line, missing
@@ -49,8 +50,24 @@ LOOK: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,  # rich would eat `[evaluate]`
 }
+
+
+class Root(TyperGroup):
+    """The commands; a name that only a group has is answered with the group's, `npred check` with `plants check`."""
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
+        nested = {
+            name: f"{group} {name}" for group, each in self.commands.items() for name in getattr(each, "commands", ())
+        }
+        close = get_close_matches(args[0], nested, n=1)
+        if close and not get_close_matches(args[0], self.commands):
+            ctx.fail(f"No such command '{args[0]}'. Did you mean '{nested[close[0]]}'?")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
     name="npred",
+    cls=Root,
     help="Numerical and neural predictor feedback for delayed nonlinear plants: generate, train, evaluate, bench.",
     no_args_is_help=True,
     **LOOK,

@@ -179,8 +179,9 @@ def check(
     settings = {"delay": delay, "nodes": nodes, "u0": u0 and config.value(u0)}
     answers = pipeline_fit.check(asked, pipeline, **settings) if pipeline else diagnosis.check(asked, **settings)
     fine = diagnosis.settled(answers)
-    rows = [[*answer] for answer in answers]
-    document = {"plant": plant, "fine": fine, "answers": [answer._asdict() for answer in answers]}
+    rows = [[*answer[:3]] for answer in answers]
+    entries = [{key: value for key, value in answer._asdict().items() if value is not None} for answer in answers]
+    document = {"plant": plant, "fine": fine, "answers": entries}
     document |= {"kappa": str(asked.law), "guess": asked.guess.tolist()} if asked.law_table else {}
     options.show_table(document, ["question", "answer", "found"], rows)
     if asked.law_table and not options.json:
@@ -189,7 +190,7 @@ def check(
         from npred.lab.report import figures
 
         if delay is None:
-            delay = pipeline_fit.PipelineFit(asked, pipeline).case().delay if pipeline else diagnosis.longest(asked)[0]
+            delay = pipeline_fit.PipelineFit(asked, pipeline).case().D if pipeline else diagnosis.longest(asked)[0]
         figures.write(figures.margin(asked, plot.stem, delay), plot.parent, formats=[plot.suffix[1:]])
     if not fine:
         failed = ", ".join(answer.check for answer in answers if answer.verdict == "no")

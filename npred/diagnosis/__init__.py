@@ -11,7 +11,7 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, equilibrium, limits
+from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, limits, loops, prediction
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -36,7 +36,9 @@ QUESTIONS = (
     Check("V", equilibrium.V_falls, equilibrium.V_applies),
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
+    Check("prediction", prediction.needed, loops.applies),
     Check("delay margin", delay_margin.bears, delay_margin.applies),
+    Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("limits", limits.kept, limits.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
@@ -137,16 +139,15 @@ def converging(name: str, case: Case) -> Answer:
 
     A sub-box is the box, shrunk by eighths about the point of it that is nearest to the target.
     """
-    X0 = case.X[: equilibrium.LOOPS]
+    X0 = case.X[: loops.LOOPS]
     centre = np.clip(case.plant.target(0.0), *case.ends.T)
-    _, seconds, horizon = equilibrium.times(case)
-    looked = f"in {case.plant.time_text(seconds, '.3g')}"
-    looked += "" if seconds >= horizon else f", as long as was looked, of the {horizon:.3g} that its slowest rate takes"
     shares: dict[int, float] = {}
     for eighth in range(EIGHTHS, 0, -1):
-        home = equilibrium.approach(case, centre + eighth / EIGHTHS * (X0 - centre))[1] <= equilibrium.HOME
-        shares[eighth] = home.mean()
-        if home.all():
+        result = equilibrium.approach(case, centre + eighth / EIGHTHS * (X0 - centre))
+        shares[eighth] = result.settled.mean()
+        if eighth == EIGHTHS or result.settled.all():
+            settles = result
+        if result.settled.all():
             break
     parts = ["from all of them" if shares[EIGHTHS] == 1 else f"from {shares[EIGHTHS]:.0%} of them"]
     if shares.get(HALF, 1.0) < 1:
@@ -154,5 +155,8 @@ def converging(name: str, case: Case) -> Answer:
     if eighth < EIGHTHS:
         all_from = f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}"
         parts.append(all_from if shares[eighth] == 1 else "not from all of any sub-box")
+    _, seconds, horizon = loops.times(case)
+    looked = f"; they {settles.text(case)}" if settles.settled.any() else f" in {case.plant.time_text(seconds, '.3g')}"
+    looked += f"; its slowest rate is {horizon / seconds:.2g} times slower than was looked" if seconds < horizon else ""
     verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
-    return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}, {looked}")
+    return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}{looked}")

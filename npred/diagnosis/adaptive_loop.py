@@ -7,7 +7,7 @@ import numpy as np
 
 from npred.base.registry import FROZEN, OBSERVER, PAPER
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.equilibrium import FALLING, HOME, distances, times
+from npred.diagnosis.loops import FOLLOWS, HOME, LARGEST, fate, times
 from npred.estimation.adaptation import DelayAdaptation
 from npred.estimation.delay_observer import DelayObserver
 from npred.loop.closed_loop import simulate
@@ -19,8 +19,6 @@ STARTS = 3  # starts in the box
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no experiment gives first estimates
 DELAYS = 40.0  # how long loops run at least
 MOST = 4000  # control steps in a loop, at most
-LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
-NEAR = 0.05  # share of the box: so near a loop follows its reference, for held commands are late by dt / 2
 WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
 # Nodes of the predictor at most, and control steps in a delay, where they are not given or would be too many.
 TRACED, UNTRACED = (31, 50), (11, 10)  # an f that runs in Python is slow
@@ -92,9 +90,8 @@ def _kept(case: Case, loops: AdaptiveLoops, adaptation: str = PAPER) -> np.ndarr
     """True (S, E) for loops that have converged, or still do, with another law where one is named."""
     run = loops.run(loops, adaptation, RK4(case.plant, loops.nodes), max(round(loops.D / loops.dt / 10), 1))
     X = run.X.reshape(-1, *run.X.shape[-2:])
-    gaps = distances(case, X, float(run.t[-1]))
-    _, middle, _, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1))
-    return ((end <= (HOME if case.plant.rests else NEAR)) | (end < FALLING * middle)).reshape(run.X.shape[:-2])
+    near = HOME if case.plant.rests else FOLLOWS
+    return fate(case, X, float(run.t[-1]), near).kept.reshape(run.X.shape[:-2])
 
 
 def _cure(case: Case, loops: AdaptiveLoops, kept: np.ndarray) -> str:

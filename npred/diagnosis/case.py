@@ -16,17 +16,20 @@ from npred.prediction.delays import problem_of
 
 if TYPE_CHECKING:
     from npred.diagnosis.adaptive_loop import AdaptiveLoops
+    from npred.diagnosis.loops import Ensemble
 
-Verdict = tuple[Literal["yes", "warn", "no"], str]
+Verdict = tuple[Literal["yes", "warn", "no"], str] | tuple[Literal["yes", "warn", "no"], str, dict[str, Any]]
+SHOWN = 3  # states in a sentence, at most
 SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that depends on time is looked at
 
 
 class Answer(NamedTuple):
-    """A question's name, whether the plant meets it, and a sentence: the finding, and the cure."""
+    """A question's name, whether the plant meets it, and a sentence: the finding, and the cure; its figures by name."""
 
     check: str
     verdict: Literal["yes", "warn", "no"]
     text: str
+    figures: dict[str, Any] | None = None
 
 
 class Check(NamedTuple):
@@ -40,13 +43,15 @@ class Check(NamedTuple):
 @dataclass(frozen=True)
 class PlannedExperiment:
     """The task for a plant: the ranges and input bounds that come before its own, the names of the delay
-    laws that run, the length of the loops in seconds, and the loops of the paper's law, if it is to be evaluated.
+    laws that run, the length of the loops in seconds, the true delay of the loops, and the loops of the paper's law, if
+    it is to be evaluated.
     """
 
     box: Mapping[str, tuple[float, float]]
     input_bounds: Any
     laws: Collection[str]
     seconds: float
+    D: float | None = None
     adaptive: "Callable[[Case], AdaptiveLoops] | None" = None
 
 
@@ -55,7 +60,7 @@ class Case:
     """A plant, the largest delay in seconds and the nodes that it is to be predicted with, and how many samples.
 
     `source` says where the delay is from; u0 is the input before t = 0. The answers so far are kept by the names of
-    their questions.
+    their questions, and the loops that were simulated by their D_hat.
     """
 
     plant: Plant
@@ -66,6 +71,7 @@ class Case:
     u0: Any = None
     experiment: PlannedExperiment | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
+    ensembles: "dict[float, Ensemble]" = field(default_factory=dict)
 
     def ask(self, question: Check) -> Answer | None:
         """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""
@@ -74,7 +80,8 @@ class Case:
                 verdict = question.answer(self)
             except ConfigError as error:
                 verdict = "no", str(error)
-            self.answers[question.name] = Answer(question.name, *verdict)
+            figures = verdict[2] if len(verdict) == 3 else None
+            self.answers[question.name] = Answer(question.name, verdict[0], verdict[1], figures)
         return self.answers.get(question.name)
 
     def verdict(self, name: str) -> str | None:
@@ -100,6 +107,17 @@ class Case:
     def ends(self) -> np.ndarray:
         """The box as an array, (n, 2)."""
         return np.array([self.box[name] for name in self.plant.states], dtype=float)
+
+    @property
+    def D(self) -> float:
+        """The true delay of loops: the experiment's, which may predict over a longer one."""
+        return self.experiment.D if self.experiment and self.experiment.D else self.delay
+
+    @cached_property
+    def width(self) -> np.ndarray:
+        """The widths of the box (n,); for a state that begins at one value its size, at least 1."""
+        width = np.ptp(self.ends, axis=1)
+        return np.where(width > 0, width, np.maximum(np.abs(self.ends[:, 0]), 1.0))
 
     @cached_property
     def limits(self) -> np.ndarray:
@@ -135,3 +153,14 @@ class Case:
 
     def state(self, X: np.ndarray) -> str:
         return source_lines.values(self.plant.states, X)
+
+    def amounts(self, X: np.ndarray, where: np.ndarray) -> str:
+        """Values of X (n,) with their units, at most SHOWN of those `where` (n,) is true."""
+        names = [name for name, shown in zip(self.plant.states, where, strict=True) if shown]
+        values = dict(zip(self.plant.states, X.tolist(), strict=True))
+        more = ", …" if len(names) > SHOWN else ""
+        return ", ".join(f"{name} {self.amount(name, values[name])}" for name in names[:SHOWN]) + more
+
+    def amount(self, name: str, value: float) -> str:
+        """A value of a state or an input with its unit."""
+        return f"{value:.3g} {self.plant.units.get(name, '')}".rstrip()

@@ -14,12 +14,15 @@ loops of the inputs that have arrived are closed, and with L the longest D_hat_j
     G_j = K_j e^{s D_hat_j} [e^{-s L} (s I - A - B K)^{-1} Phi(L) + ∫ Phi(σ) e^{-s σ} dσ over D_hat_j < σ < L] B.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.matrices import exponential
+from npred.diagnosis import loops
 from npred.diagnosis.case import Case, Verdict
 from npred.plants.base import Plant, require
 
@@ -34,6 +37,7 @@ HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that 
 PHASE = 0.2  # rad, by which the delays turn T between two frequencies
 AROUND = np.sinh(np.linspace(-6.0, 6.0, 41))  # times the damping of a pole: frequencies around it
 TURN, HALVINGS = 0.5, 40  # rad between two points of the Nyquist curve; how often frequencies are halved for that
+INSIDE, LONGEST = 0.9, 2.0  # share of the margin at which loops are simulated; times D, where it has no end
 POINTS = 16  # points of Gauss-Legendre, and one more per radian of an integrand
 
 
@@ -77,10 +81,22 @@ def applies(case: Case) -> bool:
 
 
 def bears(case: Case) -> Verdict:
-    """How wrong a constant estimate of the case's delay may be."""
-    low, high = delay_margin(case.plant, case.delay)
-    longest = "any longer one" if np.isinf(high) else case.plant.time_text(case.delay + high, ".4g")
-    return "yes", f"a constant D_hat from {case.plant.time_text(case.delay + low, '.4g')} to {longest} keeps it stable"
+    """How wrong a constant estimate of the case's delay may be: of small states, and of loops from the box."""
+    low, high = delay_margin(case.plant, case.D)
+    shown, D = case.plant.time_text, case.D
+    ends = f"from {shown(D + low, '.4g')} " + ("up" if np.isinf(high) else f"to {shown(D + high, '.4g')}")
+    text = f"linearised, a constant D_hat {ends} keeps it stable"
+    figures: dict[str, Any] = {"D": D, "low": D + low, "high": None if np.isinf(high) else D + high}
+    if not loops.applies(case):
+        return "yes", f"{text}; no loop was simulated", figures
+    inside = 0.0 if low == -D else D + INSIDE * low, D + INSIDE * high if high < np.inf else LONGEST * D
+    each = [loops.ensemble(case, float(D_hat)) for D_hat in inside]
+    figures["loops"] = [one.figures for one in each]
+    if not any(one.fails.any() for one in each):
+        kept = " and ".join(shown(one.D_hat, ".4g") for one in each)
+        return "yes", f"{text}, and loops from the box too, with D_hat = {kept}", figures
+    failing = (f"with D_hat = {shown(one.D_hat, '.4g')} {one.text()}" for one in each if one.fails.any())
+    return "warn", f"{text}, but for small states only: from the box, {'; '.join(failing)}", figures
 
 
 class MismatchedLoop:

@@ -9,6 +9,7 @@ import numpy as np
 
 from npred.base import source_lines
 from npred.diagnosis.case import Case, Verdict
+from npred.diagnosis.loops import HORIZON, LOOPS, Fate, fate, times
 from npred.estimation.adaptation import undeclared
 from npred.formulas import array_math, programs
 from npred.formulas.tape import names
@@ -19,15 +20,8 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.methods import RK4
 
-HORIZON = 100.0  # s, over which a reference and its loops are looked at where no experiment says how long
 SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate
 STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast, long against rounding
-LOOPS = 64  # starts, of the states of the box
-STEP = 0.5  # a step of RK4, times the fastest rate on the box
-MOST = 20_000  # steps
-SPAN = 30.0  # time constants of the slowest rate at the equilibrium
-HOME = 0.01  # share of the box: this close to its target a loop has converged
-FALLING = 0.9  # a loop that still converges is this much closer in the last quarter than in the second
 NEAR = 0.01  # share of the box, around rest: loops come there from all sides, whichever side the box is on
 DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
 ROUNDING, DIFFERENCES = 1e-9, 1e-6  # relative: what of S and of a rest is rounding, and where f_X is a difference
@@ -118,52 +112,28 @@ def limited(case: Case) -> Verdict:
 def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
     X0, (_, seconds, horizon) = case.X[:LOOPS], times(case)
-    middle, end = approach(case, X0)
-    home, shown = end <= HOME, case.plant.time_text(seconds, ".3g")
+    loops, shown = approach(case, X0), case.plant.time_text(seconds, ".3g")
+    home, lost = loops.settled, ~loops.kept
     if home.all():
-        return "yes", f"{len(X0)} loops from the box, without delay, converge in {shown}"
-    lost = ~home & ~(end < FALLING * middle)
+        return "yes", f"{len(X0)} loops from the box, without delay, {loops.text(case)}", loops.figures
     if seconds < horizon:
-        text = f"{home.mean():.0%} of {len(X0)} loops without delay converged in {shown}, as long as was looked"
-        return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower"
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay settled in {shown}, as long as was looked"
+        return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower", loops.figures
     if not lost.any():
-        text = f"{home.mean():.0%} of {len(X0)} loops without delay have converged after {shown}"
-        return "warn", f"{text}, the others still converge"
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay have settled after {shown}"
+        return "warn", f"{text}, the others still converge", loops.figures
     start = case.state(X0[np.argmax(lost)])
     failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
-    return "no", f"{case.plant.location('kappa')}: {failing}; {cure}"
+    return "no", f"{case.plant.location('kappa')}: {failing}; {cure}", loops.figures
 
 
-def approach(case: Case, X0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest distance to the target in the second and the last quarter of loops without delay from X0 (B, n)."""
+def approach(case: Case, X0: np.ndarray) -> Fate:
+    """The fate of loops without delay from X0 (B, n)."""
     closed, (h, seconds, _) = _closed(case), times(case)
-    nodes = max(int(seconds / h), 4) + 1
+    nodes = max(int(seconds / h), 600) + 1  # a time constant has 20, at least
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
-    _, middle, _, end = (part.max(axis=1) for part in np.array_split(distances(case, X, seconds), 4, axis=1))
-    return middle, end
-
-
-def times(case: Case) -> tuple[float, float, float]:
-    """The step, the seconds to look at, and the seconds that are needed: SPAN time constants, or HORIZON."""
-    plant, X = case.plant, case.X
-    f_X, f_U = plant.jacobians(X, case.u)
-    rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
-    horizon = HORIZON
-    if plant.rests:
-        eigenvalues = np.linalg.eigvals(plant.linearised()[0])
-        rates, horizon = max(rates, np.abs(eigenvalues).max()), SPAN / -eigenvalues.real.max()
-    h = STEP / rates if rates > 0 else horizon / MOST
-    return h, min(horizon, MOST * h), horizon
-
-
-def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
-    """Distances of loops X (B, nt, n) from their target, in widths of the box, (B, nt)."""
-    target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
-    width = np.ptp(case.ends, axis=1)
-    width = np.where(width > 0, width, np.maximum(np.abs(case.ends[:, 0]), 1.0))
-    with np.errstate(all="ignore"):
-        return np.linalg.norm((X - target) / width, axis=-1)
+    return fate(case, X, seconds)
 
 
 def _closed(case: Case) -> Plant:

@@ -90,7 +90,7 @@ def assert_whole(path: Path) -> str:
 
 
 def test_a_loop_of_two_seconds_says_what_its_stamps_say(start, tmp_path):
-    process = start("--seconds", "2", "--delay", "0.06", "--jitter", "0.01", "--loss", "0.05")
+    process = start("--seconds", "2", "--latency", "0.06", "--jitter", "0.01", "--loss", "0.05")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     said = json.loads(out)
@@ -153,7 +153,7 @@ def test_no_process_is_left_where_the_command_ends(start, tmp_path, number):
 
 
 def test_identify_reads_the_log_and_finds_the_delay(start, tmp_path):
-    process = start("--seconds", "8", "--delay", "0.06", "--jitter", "0.0")
+    process = start("--seconds", "8", "--latency", "0.06", "--jitter", "0.0")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     command = [sys.executable, "-m", "npred", "identify", "log.csv", "--plant", "scalar", "--json"]
@@ -191,7 +191,7 @@ def test_a_plant_that_swings_has_a_radius_whatever_its_output_is_called(start, t
     """Its delay is six times D_hat."""
     (tmp_path / "pendulum.py").write_text(PENDULUM)
     (tmp_path / "short.toml").write_text(SWINGING)
-    process = start("--seconds", "3", "--delay", "0.3", "--jitter", "0", "--figure", "rig.svg")
+    process = start("--seconds", "3", "--latency", "0.3", "--jitter", "0", "--figure", "rig.svg")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 3, err
     assert json.loads(out)["radius"] > 0.3

@@ -23,7 +23,7 @@ from npred.plants import Plant
 
 QUESTIONS = [
     *("trace", "smooth law", "box", "finite", "delay", "equilibrium", "stability", "V", "input bounds", "convergence"),
-    *("delay margin", "stiffness", "completeness"),
+    *("prediction", "delay margin", "disturbance", "stiffness", "completeness"),
 ]
 
 

@@ -14,7 +14,8 @@ from npred.base.registry import NETWORKS
 from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
 from npred.diagnosis.case import SPAN
-from npred.diagnosis.equilibrium import DECLARE, SLIP, times
+from npred.diagnosis.equilibrium import DECLARE, SLIP
+from npred.diagnosis.loops import times
 from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
@@ -53,19 +54,33 @@ class PipelineFit:
     def scenarios(self) -> list[Scenario]:
         return self.pipeline.evaluate.scenarios if "evaluate" in self.stages else []
 
+    @property
+    def longest_delay(self) -> float:
+        """The longest delay or first estimate of one that the loops have, in seconds."""
+        generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
+        spans = [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
+        if list(self.loops) != ["evaluate"]:
+            spans += [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
+            spans += [generate.explore_D] if generate.explore else []
+            spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
+        return max(seconds for span in spans for seconds in span)
+
     def case(self, delay: float | None = None, nodes: int | None = None, u0: Any = None) -> Case:
         """The case of the plant for the questions of npred.diagnosis, by default with the pipeline's settings."""
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
+        table = evaluate if "generate" not in self.loops and "evaluate" in self.loops else generate
+        boxes = generate.box if table is generate else {}
         laws = [table.adaptation for table in (*self.loops.values(), *self.scenarios) if table.adaptation is not None]
         adaptive = self._adaptive if evaluate.adaptation == PAPER else None
-        asked = PlannedExperiment(generate.box, generate.input_bounds, laws, evaluate.case_t_end, adaptive)
+        D = evaluate.D if delay is None and not self.plant.declares_delay and "evaluate" in self.loops else None
+        asked = PlannedExperiment(boxes, table.input_bounds, laws, evaluate.case_t_end, D, adaptive)
         if delay is not None:
             source = "as asked"
         elif self.plant.declares_delay:
             delay, source = diagnosis.longest(self.plant, asked)
         else:
-            delay, source = self.pipeline.longest_delay, "the longest delay or first estimate of the pipeline"
-        count, start = generate.nx if nodes is None else nodes, generate.u0 if u0 is None else u0
+            delay, source = self.longest_delay, "the longest delay or first estimate of the pipeline"
+        count, start = table.nx if nodes is None else nodes, table.u0 if u0 is None else u0
         return Case(self.plant, delay, count, diagnosis.SAMPLES, source, start, asked)
 
     def _adaptive(self, case: Case) -> AdaptiveLoops:
@@ -88,18 +103,21 @@ class PipelineFit:
 def check(
     plant: Plant, pipeline: Pipeline, delay: float | None = None, nodes: int | None = None, u0: Any = None
 ) -> list[Answer]:
-    """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant.
+    """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant. Of a
+    file with [evaluate] and no other stage, as a rig's, that table alone is asked.
 
     Delay, nodes and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
     """
-    fit = PipelineFit(plant, pipeline)
+    alone = pipeline.model_fields_set.intersection(STAGES) == {"evaluate"}
+    fit = PipelineFit(plant, pipeline, ("evaluate",) if alone else STAGES)
     case = fit.case(delay, nodes, u0)
     inputs.start(plant, u0, case.limits)
     answers = diagnosis.answers(case)
     if plant.declares_kappa:
         try:
             _require(fit, case)
-            answers.append(Answer("pipeline", "yes", f"{pipeline.name} fits its plant"))
+            what = f"{pipeline.name} fits its plant" + (", by [evaluate] alone" if alone else "")
+            answers.append(Answer("pipeline", "yes", what))
         except ConfigError as refusal:
             answers.append(Answer("pipeline", "no", str(refusal)))
     return answers

@@ -1,0 +1,236 @@
+"""`npred plants check` simulates loops from the box: where the linearised margin is not theirs, when they settle, if a
+predictor is needed, and what a constant disturbance leaves.
+"""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import npred
+from npred import diagnosis
+from npred.cli import app
+from npred.diagnosis import Case, loops
+from npred.plants import Plant
+
+
+class Servo:
+    """A servo with Coulomb friction, smoothed: near rest it damps by a / eps, in motion hardly."""
+
+    states, inputs, guess = ("angle", "speed"), ("u",), (1.0, 0.0)
+    parameters = {"a": 1.0, "eps": 0.05, "c": 0.1}
+    box, units = {"angle": (0.0, 2.0), "speed": (-0.5, 0.5)}, {"angle": "rad", "speed": "rad/s"}
+    input_bounds = ((-4.0, 4.0),)
+    f = lambda x, u, t, p, M: [x.speed, -p.a * M.tanh(x.speed / p.eps) - p.c * x.speed + u.u]
+    kappa = lambda x, t, p, M: [-8 * (x.angle - 1) - x.speed]
+
+
+class Line:
+    """x' = a x + u about 0."""
+
+    states, inputs, parameters, box = ("x",), ("u",), {"a": 1.0}, {"x": (-1.0, 1.0)}
+    f = lambda x, u, t, p, M: [p.a * x.x + u.u]
+    kappa = lambda x, t, p, M: [-(p.a + 1) * x.x]
+
+
+class Heater:
+    """A plate that a heater warms through a long pipe; a fan, of which the model does not know, cools it."""
+
+    states, inputs, guess = ("T",), ("power",), (40.0,)
+    parameters = {"capacity": 200.0, "loss": 20.0, "aim": 40.0, "gain": 60.0}
+    box, input_bounds, units = {"T": (20.0, 60.0)}, ((0.0, 2000.0),), {"T": "K", "power": "W"}
+    f = lambda x, u, t, p, M: [(u.power - p.loss * (x.T - 20)) / p.capacity]
+    kappa = lambda x, t, p, M: [p.loss * (p.aim - 20) - p.gain * (x.T - p.aim)]
+
+
+def line(**parts):
+    return Plant("line", type("Line", (Line,), parts))
+
+
+def answers(plant, delay, **settings):
+    return {answer.check: answer for answer in diagnosis.check(plant, delay=delay, **settings)}
+
+
+def test_a_margin_without_end_is_not_that_of_a_servo_with_friction():
+    """The linearised loop is stable for every D_hat. Without prediction the loop swings, by twice the step and more."""
+    plant, D = Plant("servo", Servo), 0.3
+    assert npred.delay_margin(plant, D) == (-D, np.inf)
+    found = answers(plant, D)
+    margin = found["delay margin"]
+    assert margin.verdict == "warn" and "any longer" not in margin.text
+    assert "keeps it stable, but for small states only: from the box, with D_hat = 0 s" in margin.text
+    start = loops.starts(Case(plant, D, 101, 256))
+    bare = npred.simulate(plant, npred.predictor("rk4", plant), D=D, D_hat=0.0, X0=start, t_end=60.0, dt=0.005)
+    angle = bare.X[:, -4000:, 0]
+    swinging = np.ptp(angle, axis=1) > 0.5
+    without = found["prediction"].figures["without"]
+    assert without["swinging"] == swinging.mean() > 0.5
+    low, high = map(float, re.search(r"% swing, angle between (\S+) and (\S+) rad", margin.text).groups())
+    assert (low, high) == pytest.approx((angle.min(), angle.max()), abs=0.03) and high - low > 2
+    assert found["prediction"].figures["with"]["settled"] == 1
+
+
+@pytest.mark.parametrize(
+    ("parts", "D", "words"),
+    [
+        ({"input_bounds": ((-1.5, 1.5),)}, 0.3, "are lost"),  # |x| > 1.5 leaves
+        ({"kappa": lambda x, t, p, M: [-x.x - M.sin(M.pi * x.x)], "box": {"x": (-2.5, 2.5)}}, 0.05, "rest elsewhere"),
+        ({"kappa": lambda x, t, p, M: [-2 * x.x + x.x**3]}, 0.3, "are lost"),
+    ],
+)
+def test_a_margin_that_is_not_that_of_the_box_is_said(parts, D, words):
+    """Saturation, several rests, and a law that is right near rest only."""
+    plant = line(**{"box": {"x": (-2.0, 2.0)}} | parts)
+    margin = answers(plant, D)["delay margin"]
+    assert margin.verdict == "warn" and "small states only" in margin.text and words in margin.text
+    small = line(**parts | {"box": {"x": (-0.1, 0.1)}})
+    assert answers(small, D)["delay margin"].verdict == "yes"
+
+
+def test_loops_in_a_linear_margin_settle_however_slowly():
+    """Small and large states are alike; near the end of the margin loops take many times the slowest time constant."""
+    margin = answers(npred.plant("scalar"), 1.0)["delay margin"]
+    assert margin.verdict == "yes" and "and loops from the box too, with D_hat = 0.2492 s and 1.336 s" in margin.text
+    slow = margin.figures["loops"][0]
+    assert slow["settled"] == 1 and slow["settling_time_largest"] > 50
+
+
+def test_the_settling_time_is_that_of_the_loops():
+    """|x| falls as e^-t, from the time on at which the first command acts, to 2 % of half the box."""
+    D, found = 0.5, answers(line(), 0.5)
+    largest = np.log(np.abs(Case(line(), D, 101, 256).X[:64]).max() / 0.02)
+    assert found["convergence"].figures["settling_time_largest"] == pytest.approx(largest, abs=0.051)
+    assert f"{found['convergence'].figures['settling_time_largest']:.3g} s (slowest)" in found["convergence"].text
+    exact, h = found["prediction"].figures["with"], found["prediction"].figures["dt"]
+    rate = -np.log(2 - np.exp(h)) / h  # of commands that are held
+    assert exact["settling_time_largest"] == pytest.approx(D + np.log(0.99 * np.exp(D) / 0.02) / rate, abs=h)
+    assert exact["overshoot"]["x"] < 1e-6
+
+
+def test_loops_that_creep_for_longer_than_is_looked_are_not_said_to_rest_elsewhere():
+    """A state of a rate of 1e-3 / s beside one of 100 / s."""
+
+    class Creep:
+        states, inputs, box = ("x", "y"), ("u",), {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}
+        f = lambda x, u, t, p, M: [-1e-3 * x.x, -100 * x.y + u.u]
+        kappa = lambda x, t, p, M: [-x.y]
+
+    found = answers(Plant("creep", Creep), 0.5)
+    row = found["prediction"]
+    assert row.verdict == "yes" and "have not settled after" in row.text and "as long as was looked" in row.text
+    assert "elsewhere" not in row.text and found["delay margin"].verdict == "yes"
+
+
+def test_a_plant_that_needs_no_predictor_is_named():
+    slow = answers(line(parameters={"a": -0.1}, kappa=lambda x, t, p, M: [-0.1 * x.x]), 0.1)["prediction"]
+    assert slow.verdict == "yes" and slow.text.startswith("you need no predictor: 16 loops from the box, D = 0.1 s")
+    fast = answers(line(), 0.8)["prediction"]
+    assert "need no predictor" not in fast.text
+    assert fast.figures["with"]["settled"] == 1 > fast.figures["without"]["settled"]
+
+
+def test_a_predictor_is_needed_where_the_loop_without_is_as_fast_but_overshoots():
+    """x' = u with u = -x, D = 0.6 s."""
+    row = answers(line(parameters={"a": 0.0}), 0.6)["prediction"]
+    exact, bare = row.figures["with"], row.figures["without"]
+    assert bare["settling_time_largest"] < exact["settling_time_largest"] and "need no predictor" not in row.text
+    assert bare["overshoot"]["x"] > 0.1 > 0.01 > exact["overshoot"]["x"]
+    assert row.text.endswith(f"overshoot x {bare['overshoot']['x']:.3g}")
+
+
+def test_the_offset_that_a_disturbance_leaves_is_the_one_of_the_loop():
+    """At rest a X + U + d = 0 and P = X - d (e^{aD} - 1) / a; U = -(a + c) P, here a = 0.5, c = D = 1."""
+    row = answers(npred.plant("scalar"), 1.0)["disturbance"]
+    d = row.figures["disturbance"]["U"]
+    case = Case(npred.plant("scalar"), 1.0, 101, 256)
+    assert d == pytest.approx(0.1 * np.ptp(1.5 * case.X))
+    assert abs(row.figures["offset"]["X"]) == pytest.approx(d * (1 + 1.5 * (np.exp(0.5) - 1) / 0.5), rel=1e-3)
+
+
+def test_a_heater_with_a_fan_is_offered_integral_action():
+    """The lag is 10 s. The check offers the observer; it takes the offset that a fan causes to less than 1 K."""
+    plant, D = Plant("heater", Heater), 3.0
+    row = answers(plant, D)["disturbance"]
+    assert row.verdict == "yes"
+    size, off, seconds = map(float, re.fullmatch(
+        r"a constant disturbance of (\S+) W at power, a tenth of its range, leaves T (\S+) K off; an observer with "
+        r"offset=True takes it away, to 1 % of half the box in (\S+) s", row.text,
+    ).groups())  # fmt: skip
+    assert size == 200 and off == pytest.approx(abs(row.figures["offset"]["T"]), rel=0.01) and off > 3
+    assert seconds == pytest.approx(row.figures["settling_time_with_offset"], rel=0.01) and seconds < 60
+    windy, ends = Plant("windy", Heater, {"loss": 30.0}), []
+    for observer in (None, npred.observers.EKF(plant, offset=True)):
+        run = npred.simulate(
+            plant, npred.predictor("rk4", plant, 51), D=D, D_hat=D, X0=[40.0], t_end=60.0, dt=0.06, truth=windy,
+            u0="equilibrium", actuator="history", observer=observer,
+        )  # fmt: skip
+        ends.append(abs(run.X[-200:, 0] - 40).max())
+    assert ends[0] > 3 and ends[1] < 1
+
+
+@pytest.mark.parametrize("name", ["transport_tank", "cart_pole"])
+def test_no_cure_is_promised_that_was_not_simulated(name):
+    """No observer serves a plant that declares its delay; the cart-pole with 1 s of delay is lost with one, too."""
+    done = CliRunner().invoke(app, ["plants", "check", name, "--delay", "1", "--json"])
+    (row,) = [row for row in json.loads(done.stdout)["answers"] if row["check"] == "disturbance"]
+    assert row["verdict"] == "warn" and "observer" not in row["text"]
+    assert (None in row["figures"]["offset"].values()) == (name == "cart_pole")
+
+
+def test_a_plant_that_is_called_gets_no_loops_and_no_promise_of_them(tmp_path):
+    code = "class Called:\n    traced, states, inputs, box = False, ('x',), ('u',), {'x': (-1.0, 1.0)}\n"
+    code += "    def f(X, u, t, p):\n        return -X + u\n\n    def kappa(X, t, p):\n        return -0.5 * X\n"
+    (tmp_path / "called.py").write_text(code)
+    found = answers(npred.plant(f"{tmp_path}/called.py:Called"), 1.0)
+    assert "prediction" not in found and found["delay margin"].text.endswith("no loop was simulated")
+
+
+RIG = """
+plant = "line.py:Line"
+
+[evaluate]
+X0 = [0.5]
+D = 0.3
+D_hat0 = 0.3
+case_D_hat0 = [0.3]
+adaptation = "frozen"
+actuator = "history"
+nx = 31
+u0 = [0.1]
+"""
+
+
+def checked(path):
+    done = CliRunner().invoke(app, ["plants", "check", str(path), "--json"])
+    return done.exit_code, {row["check"]: row for row in json.loads(done.stdout)["answers"]}
+
+
+def test_a_pipeline_with_evaluate_alone_is_asked_what_that_runs(tmp_path):
+    """Not [generate]'s defaults: a delay of 2 s, the paper's law and its V."""
+    lines = "class Line:\n    states, inputs, box = ('x',), ('u',), {'x': (-1.0, 1.0)}\n"
+    lines += "    def f(x, u, t, p, M):\n        return [x.x + u.u]\n"
+    lines += "    def kappa(x, t, p, M):\n        return [-2 * x.x]\n"
+    (tmp_path / "line.py").write_text(lines)
+    (tmp_path / "rig.toml").write_text(RIG)
+    code, rows = checked(tmp_path / "rig.toml")
+    assert code == 0 and rows["delay"]["text"].startswith("0.3 s, the longest delay or first estimate")
+    assert rows["V"]["verdict"] == "yes" and rows["pipeline"]["text"].endswith("fits its plant, by [evaluate] alone")
+    assert "31 nodes" in rows["stiffness"]["text"] and "u0: u = 0.1" in rows["completeness"]["text"]
+    assert rows["prediction"]["figures"]["with"]["settled"] == 1
+    (tmp_path / "rig.toml").write_text(RIG.replace('adaptation = "frozen"', ""))
+    code, rows = checked(tmp_path / "rig.toml")
+    assert code == 3 and rows["V"]["verdict"] == "no"  # the paper's law takes one
+    (tmp_path / "rig.toml").write_text(RIG + "[generate]\n")
+    code, rows = checked(tmp_path / "rig.toml")
+    assert code == 3 and rows["delay"]["text"].startswith("2 s")
+
+
+def test_the_loops_of_a_pipeline_have_its_delay_not_its_longest_estimate(tmp_path):
+    (tmp_path / "p.toml").write_text('plant = "scalar"\n[evaluate]\nX0 = [0.5]\nD = 0.7\nactuator = "history"\n')
+    _, rows = checked(tmp_path / "p.toml")
+    assert rows["delay"]["text"].startswith("1.4 s") and rows["prediction"]["figures"]["D"] == 0.7
+    low, high = npred.delay_margin(npred.plant("scalar"), 0.7)
+    figures = rows["delay margin"]["figures"]
+    assert (figures["low"], figures["high"]) == pytest.approx((0.7 + low, 0.7 + high))
