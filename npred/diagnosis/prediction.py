@@ -23,13 +23,13 @@ def needed(case: Case) -> Verdict:
 
 
 def spares(exact: Ensemble, bare: Ensemble) -> bool:
-    """True if loops that are not predicted all settle, about as fast and without going farther."""
+    """True if loops that are not predicted all settle, about as fast and, taken together, without going farther."""
     if not (exact.fate.settled.all() and bare.fate.settled.all()):
         return False
     slowest = [(np.median(each.fate.seconds), each.fate.seconds.max()) for each in (exact, bare)]
-    room = FARTHER * exact.case.width / 2
-    inside = (bare.high <= exact.high + room) & (bare.low >= exact.low - room) & (bare.past <= exact.past + room)
-    return bool((np.array(slowest[1]) <= SLOWER * np.array(slowest[0])).all() and inside.all())
+    reaches = [np.array([each.high.max(axis=0), -each.low.min(axis=0), each.overshoot]) for each in (exact, bare)]
+    farther = (reaches[1] - reaches[0]) / (exact.case.width / 2)
+    return bool((np.array(slowest[1]) <= SLOWER * np.array(slowest[0])).all() and (farther <= FARTHER).all())
 
 
 def _said(each: Ensemble) -> str:
