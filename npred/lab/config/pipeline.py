@@ -155,13 +155,13 @@ class _Tables(Section):
 
     @property
     def longest_delay(self) -> float:
-        """The longest delay or first estimate of one that the loops have, in seconds."""
+        """The longest delay or first estimate of one that the loops have."""
         generate, evaluate = self.generate, self.evaluate
         spans = [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
         spans += [generate.explore_D] if generate.explore else []
         spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
         spans += [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
-        return max(seconds for span in spans for seconds in span)
+        return max(time for span in spans for time in span)
 
     @property
     def files(self) -> list[str]:
