@@ -51,6 +51,7 @@ SHARE, FEWEST = (
     0.7,
     20,
 )  # of the usual time constant; control steps in a window, as npred/kernels/c/candidates.h has them
+DIGITS = 9  # of a number of control steps, before it is rounded: half a step is that in any unit of time
 NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
 
 
@@ -109,7 +110,7 @@ class DelayObserver(DelayLaw):
 
     def thetas(self, dt: float) -> np.ndarray:
         """The candidates (K,): whole control steps apart, from bound to bound."""
-        low, high = (round(bound / dt) for bound in self.bounds)
+        low, high = (round(round(bound / dt, DIGITS)) for bound in self.bounds)
         stride = max(1, math.ceil((high - low) / (self.candidates - 1)))
         return np.arange(low, max(high, low + 2 * stride) + 1, stride) * dt
 
@@ -136,7 +137,7 @@ class DelayObserver(DelayLaw):
         count, n, m = len(thetas), plant.n, plant.m
         L, omega, memory, window = self.pace(plant, dt)
         leak, fade = 1 - math.exp(-dt / memory), math.exp(-dt / window)
-        shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
+        shifts = np.rint(np.round(thetas[:, None] * plant.ratios / dt, DIGITS)).ravel()
         follow = 1 - math.exp(-L * dt), L * omega * dt
         settings = [count, *follow, leak, fade, 2 * window / dt, *self.bounds]
         kernel = (_traced if plant.traced else _called)(plant, count)

@@ -213,7 +213,7 @@ class Plant(InNotebook):
                 break
             X = X - scale * step
             g, J = self._at_rest(X)
-        if not np.linalg.norm(g) <= REST * np.linalg.norm(J) * max(1.0, float(np.linalg.norm(X))):
+        if not np.linalg.norm(g) <= REST * np.linalg.norm(J[np.isfinite(J)]) * max(1.0, float(np.linalg.norm(X))):
             left = source_lines.values([f"{name}'" for name in self.states], g)
             near = f"no equilibrium near guess = {self.guess.tolist()}: {left} is left"
             cure = "let kappa hold a point where f vanishes, or give a `guess` closer to one"

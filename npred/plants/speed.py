@@ -9,9 +9,10 @@ from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.plants.base import Plant
 
-NONE = 1e-6  # share of the fastest rate: what rounding makes of a 0
+NONE = 1e-6  # share of the fastest rate, and of that of crossing the box: what rounding makes of a 0
 DRAWN = 64  # states of the box
 MOMENTS, STEP = 256, 1e-6  # times along a reference; the step of a difference, as a share of them
+FAILURES = (ConfigError, ArithmeticError, ValueError)  # of functions that are called; LinAlgError is a ValueError
 LONG = 100.0  # usual time constants
 
 
@@ -35,31 +36,38 @@ def operating_point(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def rates(plant: Plant) -> Rates:
-    """The rates of a plant. Where no eigenvalue is left, all are those at which f of kappa crosses half the box; and 1,
-    the one rate that no unit of time leaves as it is, where nothing moves at all.
+    """The rates of a plant. Where no eigenvalue is left, all are that at which f of kappa crosses half the box; and 1,
+    the one rate that is not the same in another unit of time, where nothing moves or a function fails.
     """
+    crossing = _crossing(plant)
     try:
         with np.errstate(all="ignore"):
             X, u = operating_point(plant)
             f_X, f_U = plant.jacobians(X, u)
             values = np.linalg.eigvals([f_X + f_U @ plant.kappa_jacobian(X), f_X])
         sizes = np.abs(values)
-        among = sizes[0][sizes[0] > NONE * sizes.max()]
+        among = sizes[0][sizes[0] > NONE * max(sizes.max(), crossing)]
         if among.size:
             return Rates(float(sizes.max()), float(np.exp(np.log(among).mean())), float(-values[0].real.max()))
-    except (ConfigError, np.linalg.LinAlgError):  # no equilibrium, or no derivative there
+    except FAILURES:  # no law, no equilibrium, or no derivative there
         pass
-    return Rates(*[_crossing(plant)] * 3)
+    return Rates(*[crossing or 1.0] * 3)
 
 
 def _crossing(plant: Plant) -> float:
+    """The root of the mean square of f with kappa over half the box; 0 where it is not known."""
+    if not plant.declares_kappa:
+        return 0.0
     pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
     low, high = np.array(pairs, dtype=float).T
     X = randomness.generator(0, "rates").uniform(low, high, (DRAWN, plant.n))
-    with np.errstate(all="ignore"):
-        speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(high > low, (high - low) / 2, 1.0)
+    try:
+        with np.errstate(all="ignore"):
+            speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(high > low, (high - low) / 2, 1.0)
+    except FAILURES:  # which the check of the plant, or the loop, says
+        return 0.0
     speeds = speeds[np.isfinite(speeds)]
-    return float(np.sqrt((speeds**2).mean())) if (speeds > 0).any() else 1.0
+    return float(np.sqrt((speeds**2).mean())) if (speeds > 0).any() else 0.0
 
 
 @cache
