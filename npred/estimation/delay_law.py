@@ -81,7 +81,7 @@ class DelayLaw(ABC):
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
     ) -> Any:  # fmt: skip
-        """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t in seconds.
+        """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t.
 
         u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
         to the bounds after each step.
@@ -130,7 +130,7 @@ class Part(NamedTuple):
 
 
 def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
-    """The laws' part of a control step of dt seconds; None freezes D_hat."""
+    """The laws' part of a control step of dt; None freezes D_hat."""
     control = control_law(plant)
     if law is None:
         return Part(control, np.array((0.0, np.inf)))

@@ -58,10 +58,10 @@ Start: TypeAlias = np.ndarray | str | Callable[[float], ArrayLike]  # numbers (m
 
 @dataclass(frozen=True)
 class Past:
-    """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,) seconds.
+    """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,).
 
     A course is a table (k, m), its rows held for span / k each, the oldest first and before all of them too, or a
-    function of t < 0 in seconds.
+    function of t < 0.
     """
 
     held: np.ndarray

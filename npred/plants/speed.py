@@ -55,7 +55,7 @@ def rates(plant: Plant) -> Rates:
 
 
 def _crossing(plant: Plant) -> float:
-    """The root of the mean square of f with kappa over half the box; 0 where it is not known."""
+    """The median of |f| with kappa over half the box, of what moves; 0 where it is not known."""
     if not plant.declares_kappa:
         return 0.0
     pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
@@ -66,8 +66,8 @@ def _crossing(plant: Plant) -> float:
             speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(high > low, (high - low) / 2, 1.0)
     except FAILURES:  # which the check of the plant, or the loop, says
         return 0.0
-    speeds = speeds[np.isfinite(speeds)]
-    return float(np.sqrt((speeds**2).mean())) if (speeds > 0).any() else 0.0
+    moving = speeds[np.isfinite(speeds) & (speeds > 0)]
+    return float(np.median(moving)) if moving.size else 0.0
 
 
 @cache
