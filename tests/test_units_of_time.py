@@ -198,6 +198,18 @@ def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, m
         said(D=0.002, D_hat=0.01, dt=0.005, t_end=1.0, adaptation=npred.DelayObserver())
 
 
+def test_a_controller_says_it_of_the_longest_delay_that_its_law_takes(capsys, monkeypatch):
+    monkeypatch.delenv("NPRED_QUIET")
+    scalar, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.01, 0.13))
+    rk4 = npred.predictor("rk4", scalar, 5)
+    npred.controller(scalar, rk4, law, 0.005, actuator="history")
+    assert "D / " not in capsys.readouterr().err
+    npred.controller(scalar, rk4, law, 0.01, actuator="history")
+    assert "dt: 0.01 s is a step of D / 13: " in capsys.readouterr().err
+    with pytest.raises(ConfigError, match=r"dt: expected at most the delay, 0.13, .* got 0.2; shorten the step"):
+        npred.controller(scalar, rk4, law, 0.2, actuator="history")
+
+
 def test_a_pipeline_in_another_unit_has_the_same_loops():
     tables = [
         config.parse({"plant": "scalar", "evaluate": {"D": D, "X0": [1.0]}, "generate": {"D": D}}, "tests")

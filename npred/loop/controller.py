@@ -11,8 +11,9 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
+from npred.base.progress import say
 from npred.estimation.delay_law import DelayLaw, Part, part
-from npred.loop import engine, loop_checks, signals
+from npred.loop import control_step, engine, loop_checks, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
@@ -131,6 +132,12 @@ class Controller(InNotebook):
         array_checks.within(
             "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
         )
+        if not plant.declares_delay:  # of a delay that is not known, the longest of the law
+            longest = D_hat if law is None else law.bounds[1]
+            if law is not None:
+                control_step.check("dt", dt, longest)
+            if text := control_step.doubt("dt", dt, longest, plant.time_unit):
+                say(text)
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(kernels.memory, D_hat)
         self._set_state(D_hat, None, 0, 0.0)
