@@ -15,6 +15,7 @@ from npred.plants import speed
 from npred.prediction.delays import problem_of
 
 UNITS = {"ms": 1000.0, "h": 1 / 3600}  # of them in a second
+PUSH = {"disturbance": {"amplitude": 0.1}}
 QUICK = ("activator_repressor", "scalar", "van_der_pol", "transport_tank")
 SHIPPED = [(name, unit) for name in QUICK for unit in UNITS]  # of those that take long to compile one unit, no decimal
 SHIPPED += [pytest.param(name, "h", marks=pytest.mark.slow) for name in plants.names() if name not in QUICK]
@@ -212,9 +213,18 @@ def test_a_controller_says_it_of_the_longest_delay_that_its_law_takes(capsys, mo
 
 def test_a_pipeline_in_another_unit_has_the_same_loops():
     tables = [
-        config.parse({"plant": "scalar", "evaluate": {"D": D, "X0": [1.0]}, "generate": {"D": D}}, "tests")
+        config.parse(
+            {
+                "plant": "scalar",
+                "evaluate": {"D": D, "scenarios": [{"name": "push", **PUSH}]},
+                "generate": {"D": D, **PUSH},
+            },
+            "tests",
+        )
         for D in (0.2, 200.0)
     ]
     for stage in ("generate", "evaluate"):
         one, other = (getattr(table, stage) for table in tables)
         assert other.t_end == pytest.approx(1000 * one.t_end) and other.dt == pytest.approx(1000 * one.dt)
+    pushes = [[table.generate.disturbance, table.evaluate.scenarios[0].disturbance] for table in tables]
+    assert [wave.omega for table in pushes for wave in table] == pytest.approx([5, 5, 0.005, 0.005])

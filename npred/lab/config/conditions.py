@@ -73,7 +73,7 @@ class Condition:
         push = table.disturbance
 
         def sine(t: float) -> float:
-            return push.amplitude * math.sin((push.omega or 1 / table.longest) * t)
+            return push.amplitude * math.sin(push.omega * t)
 
         loop = replace(
             described(table, plant, predictor), X0=self.X0,

@@ -44,7 +44,7 @@ class Disturbance(Section):
     """amplitude sin(omega t), added to each input of the plant."""
 
     amplitude: Number = 0.0  #: in units of the input
-    omega: Positive | None = None  #: in rad per unit of time; by default 1 / D
+    omega: Positive = 1.0  #: in rad per unit of time; by default 1 / D
 
 
 class LoopTable(Section):
@@ -101,7 +101,9 @@ class LoopTable(Section):
         filled = {key: _times(D, fields[key].default, low, high) for key in cls.follows}
         filled |= {key: D * fields[key].default for key in cls.lasting}
         filled |= {"dt": min(control_step.usual(D), (filled | data)["t_end"])}
-        data = filled | data
+        data = _with_omega(filled | data, D)
+        if isinstance(data.get("scenarios"), list):
+            data["scenarios"] = [_with_omega(scenario, D) for scenario in data["scenarios"]]
         if "bounds" not in data and data.get("adaptation") != FROZEN:
             delays = [end for key in ("D", *cls.follows, *cls.mapped) for end in _ends(data.get(key, []))]
             low, high = (D * bound for bound in fields["bounds"].default)
@@ -146,6 +148,12 @@ class LoopTable(Section):
         if self.adaptation != FROZEN and (low < bounds[0] or high > bounds[1]):
             came = [low, high] if low < high else f"{low:g}"
             raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {came}; widen bounds or move {key}")
+
+
+def _with_omega(table: Any, D: float) -> Any:
+    """A table whose disturbance, where one is written, has an omega."""
+    wave = table.get("disturbance") if isinstance(table, dict) else None
+    return table | {"disturbance": {"omega": 1 / D} | wave} if isinstance(wave, dict) else table
 
 
 def _times(D: float, value: Any, low: float, high: float) -> Any:
