@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from npred.base import grid
 from npred.loop.closed_loop import Trajectories
 from npred.plants.base import Plant
+from npred.plants.speed import settled
 
 SETTLED = 0.01  # times size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
@@ -169,20 +170,21 @@ def lost(loops: Trajectories, X_star: ArrayLike, far: float = LOST) -> np.ndarra
 
 
 @cache
-def gain(plant: Plant, t_end: float) -> float:
+def gain(plant: Plant, t_end: float | None = None) -> float:
     """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
 
     A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
     the radius that such an error leaves, to first order in e, if the loop settles. One that oscillates may leave a
     larger one, and with a law for D_hat a constant one moves D_hat too (docs/guard.md).
     Where the plant tracks, a constant e moves the trajectory by G(t) e, with G' = (f_X + f_U kappa') G + f_U along the
-    reference and G(0) = 0: the largest |G| over the last tenth of t_end. Where nothing changes in time, both
-    are the same.
+    reference and G(0) = 0: the largest |G| over the last tenth of t_end, which is npred.plants.speed.settled by default. Where
+    nothing changes in time, both are the same.
     """
     if plant.rests:
         closed, f_U = plant.linearised()
         return float(np.linalg.norm(np.linalg.solve(closed, f_U), 2))
-    return max(float(np.linalg.norm(G, 2)) for G in _responses(plant, t_end)[round((1 - TAIL) * CELLS) :])
+    responses = _responses(plant, t_end or settled(plant))
+    return max(float(np.linalg.norm(G, 2)) for G in responses[round((1 - TAIL) * CELLS) :])
 
 
 def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:
