@@ -177,8 +177,8 @@ def gain(plant: Plant, t_end: float | None = None) -> float:
     the radius that such an error leaves, to first order in e, if the loop settles. One that oscillates may leave a
     larger one, and with a law for D_hat a constant one moves D_hat too (docs/guard.md).
     Where the plant tracks, a constant e moves the trajectory by G(t) e, with G' = (f_X + f_U kappa') G + f_U along the
-    reference and G(0) = 0: the largest |G| over the last tenth of t_end, which is npred.plants.speed.settled by default. Where
-    nothing changes in time, both are the same.
+    reference and G(0) = 0: the largest |G| over the last tenth of t_end, by default `settled`. Where nothing changes in
+    time, both are the same.
     """
     if plant.rests:
         closed, f_U = plant.linearised()
