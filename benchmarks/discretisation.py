@@ -1,12 +1,13 @@
 """What control steps, nodes and cell means cost: figures of docs/fidelity.md, docs/predictors.md, docs/real_loop.md, …
 
-    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published]
+    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [delay]
 
 mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
 tracking: where D_hat of a loop that follows sin t ends.
 order: the error of P(1) against SciPy's DOP853, for u that a loop holds and for a smooth u, and its fitted order.
 margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
 published: what two digits of docs/reproduce.md are of.
+delay: what loops lose by fewer and fewer control steps in a known delay.
 """
 
 import sys
@@ -169,7 +170,26 @@ def lowest(a: float) -> float:
     return min(rate(z)[1] for z in run.sol(np.linspace(0, 6, 20001)).T)
 
 
+def delay() -> None:
+    """sup |X - X_fine| of each state, over the largest distance of X_fine from rest, X_fine with D = 3000 dt."""
+    cases = {
+        "activator_repressor": (1.0, [0.03, 30.0], 20.0), "scalar": (1.0, [1.0], 12.0),
+        "van_der_pol": (0.5, [1.0, 0.0], 10.0), "chemostat": (1.5, [2.0, 2.0], 20.0),
+        "cart_pole": (0.2, [0.1, 0.0, 0.1, 0.0], 10.0),
+    }  # fmt: skip
+    for name, (D, X0, t_end) in cases.items():
+        plant, shown = npred.plant(name), []
+        loop = {"D": D, "D_hat": D, "X0": X0, "t_end": t_end, "actuator": "history"}
+        fine = npred.simulate(plant, npred.predictor("rk4", plant), dt=D / 3000, every=10, **loop)
+        size = np.abs(fine.X - plant.equilibrium).max(axis=0)
+        for steps in (300, 60, 20, 10, 5, 2, 1):
+            run = npred.simulate(plant, npred.predictor("rk4", plant), dt=D / steps, **loop)
+            exact = np.stack([np.interp(run.t, fine.t, x) for x in fine.X.T], axis=-1)
+            shown.append(f"{steps}: {(np.abs(run.X - exact) / size).max():.1%}")
+        print(f"{name}, D / dt = {', '.join(shown)}", flush=True)
+
+
 if __name__ == "__main__":
-    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published)}
+    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published, delay)}
     for name in sys.argv[1:] or parts:
         parts[name]()

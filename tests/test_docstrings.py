@@ -49,6 +49,6 @@ def test_a_public_docstring_has_its_sections(thing):
 
 def test_help_says_type_unit_default_and_meaning():
     text = pydoc.plain(pydoc.render_doc(npred.simulate))
-    assert "dt : float, in the plant's unit of time, default 0.005\n        Control step; U is held over it." in text
+    assert "dt : float, in the plant's unit of time, optional\n        Control step; U is held over it." in text
     assert "X0 : array (..., n), in the plant's units\n        States at t = 0." in text
     assert "Returns\n    -------\n    Trajectories\n        Closed loops" in text

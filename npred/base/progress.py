@@ -97,6 +97,16 @@ def announce(what: str, seconds: float | None = None, often: str = "", total: in
         watcher.join()  # or its line could come after what follows
 
 
+_said: set[str] = set()
+
+
+def say(text: str) -> None:
+    """Say a line once, where nothing has to be quiet: a doubt about what is asked for."""
+    if text not in _said and not (_announced.get() or os.environ.get(VARIABLE)):
+        _said.add(text)
+        (_listeners[-1] if _listeners else _write)(text)
+
+
 @contextmanager
 def quiet() -> Iterator[None]:
     """In the block nothing is said."""

@@ -154,7 +154,10 @@ def check(
     *,
     plant: Annotated[str, argument("PLANT", "A name, a file as my_plant.py:Tank, or a pipeline as tank.toml.")],
     delay: Annotated[
-        float | None, flag("The largest delay to predict over, in seconds; the pipeline's or the plant's, else 1.")
+        float | None,
+        flag(
+            "The largest delay to predict over, in the plant's unit of time; by default the pipeline's or the plant's."
+        ),
     ] = None,
     nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
     kappa: Annotated[

@@ -13,12 +13,14 @@ from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
 from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, limits, loops, prediction
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
+from npred.loop import control_step
 from npred.plants import inputs
 from npred.plants.base import Plant
+from npred.plants.speed import rates
 
 __all__ = ["QUESTIONS", "Answer", "Case", "PlannedExperiment", "answers", "check", "longest", "settled"]
 
-NODES, ASSUMED, SAMPLES = 101, 1.0, 256  # 1 s where nothing says how long the delay is
+NODES, SAMPLES = 101, 256
 
 EIGHTHS, HALF = 8, 4  # sub-boxes that are looked at, and the one that a law should converge from
 
@@ -49,9 +51,9 @@ QUESTIONS = (
 def check(
     plant: Plant, delay: float | None = None, nodes: int | None = None, samples: int = SAMPLES, u0: Any = None
 ) -> list[Answer]:
-    """Every question about a plant with its answer, for delays up to `delay` seconds on `nodes` nodes.
+    """Every question about a plant with its answer, for delays up to `delay` on `nodes` nodes.
 
-    By default the delay is the longest of the plant's, else 1 s, and the nodes are 101. Raises ConfigError for a u0
+    By default the delay is the longest of the plant's, else `assumed`, and nodes are 101. Raises ConfigError for a u0
     that does not fit, and as `answers` does.
     """
     D, source = longest(plant) if delay is None else (delay, "as asked")
@@ -94,16 +96,21 @@ def settled(answers: Sequence[Answer]) -> bool:
 def longest(plant: Plant, experiment: PlannedExperiment | None = None) -> tuple[float, str]:
     """The delay to predict over, and where it is from."""
     if plant.declares_delay:
-        case = Case(plant, ASSUMED, NODES, SAMPLES, experiment=experiment)
+        case = Case(plant, assumed(plant), NODES, SAMPLES, experiment=experiment)
         if all(name in case.box for name in plant.states):
             with suppress(ConfigError):  # other answers say why
                 D = float(np.nanmax(case.delays[1]))
                 if 0 < D < np.inf:
                     return D, "the longest that the plant declares on the box"
-        return ASSUMED, "assumed: the plant declares none on the box"
+        return assumed(plant), "assumed: the plant declares none on the box"
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
-    return ASSUMED, "assumed: --delay gives another, or a pipeline instead of the plant"
+    return assumed(plant), "assumed: --delay gives another, or a pipeline instead of the plant"
+
+
+def assumed(plant: Plant) -> float:
+    """A delay where nothing says how long it is: about the usual time constant of the loop (npred.plants.speed)."""
+    return control_step.simple(1 / rates(plant).usual)
 
 
 def instead(plant: Plant, case: Case) -> Answer:

@@ -26,7 +26,7 @@ TRACED, UNTRACED = (31, 50), (11, 10)  # an f that runs in Python is slow
 
 @dataclass(frozen=True)
 class AdaptiveLoops:
-    """Loops of the paper's law from the starts X0 (S, n) and the estimates D_hat (E,), in seconds.
+    """Loops of the paper's law from the starts X0 (S, n) and the estimates D_hat (E,).
 
     `derived` says that nobody chose gamma. `run` simulates these loops with the delay law of a name, (S, E) of them,
     and keeps every so many control steps.

@@ -12,6 +12,7 @@ from npred.base.errors import ConfigError
 from npred.base.registry import WITHOUT_V
 from npred.plants import inputs
 from npred.plants.base import Plant
+from npred.plants.speed import long
 from npred.prediction.delays import problem_of
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 Verdict = tuple[Literal["yes", "warn", "no"], str] | tuple[Literal["yes", "warn", "no"], str, dict[str, Any]]
 SHOWN = 3  # states in a sentence, at most
-SPAN, MOMENTS = 100.0, 16  # s, and how many times: where a declared delay that depends on time is looked at
+MOMENTS = 16  # at which a declared delay that depends on time is looked at
 
 
 class Answer(NamedTuple):
@@ -43,8 +44,8 @@ class Check(NamedTuple):
 @dataclass(frozen=True)
 class PlannedExperiment:
     """The task for a plant: the ranges and input bounds that come before its own, the names of the delay
-    laws that run, the length of the loops in seconds, the true delay of the loops, and the loops of the paper's law, if
-    it is to be evaluated.
+    laws that run, the length of the loops, the true delay of the loops, and the loops of the paper's law, if it is to
+    be evaluated.
     """
 
     box: Mapping[str, tuple[float, float]]
@@ -57,7 +58,7 @@ class PlannedExperiment:
 
 @dataclass(frozen=True)
 class Case:
-    """A plant, the largest delay in seconds and the nodes that it is to be predicted with, and how many samples.
+    """A plant, the largest delay and the nodes that it is to be predicted with, and how many samples.
 
     `source` says where the delay is from; u0 is the input before t = 0. The answers so far are kept by the names of
     their questions, and the loops that were simulated by their D_hat.
@@ -134,7 +135,7 @@ class Case:
     @cached_property
     def delays(self) -> tuple[np.ndarray, np.ndarray]:
         """Times t (T,) over a period, and the delay that the plant declares at t and each sample, (T, samples)."""
-        t = np.linspace(0.0, self.plant.period or SPAN, MOMENTS) if self.plant.clocked else np.zeros(1)
+        t = np.linspace(0.0, long(self.plant), MOMENTS) if self.plant.clocked else np.zeros(1)
         with np.errstate(all="ignore"):
             return t, np.array([self.plant.delay(self.X, moment) for moment in t])
 

@@ -9,19 +9,19 @@ import numpy as np
 
 from npred.base import source_lines
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.loops import HORIZON, LOOPS, Fate, fate, times
+from npred.diagnosis.loops import LOOPS, Fate, fate, times
 from npred.estimation.adaptation import undeclared
 from npred.formulas import array_math, programs
 from npred.formulas.tape import names
 from npred.formulas.trace import Trace, python
 from npred.laws.law import error
 from npred.laws.regulator import lyapunov
-from npred.plants import inputs
+from npred.plants import inputs, speed
 from npred.plants.base import Plant
 from npred.prediction.methods import RK4
 
-SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of 1 + its rate
-STEPS = (1e-5, 1e-6, 1e-7)  # s, of differences in time: short for what is fast, long against rounding
+SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of the usual rate + its own
+STEPS = (1e-5, 1e-6, 1e-7)  # times the usual time constant, of differences: short for what is fast, not for rounding
 NEAR = 0.01  # share of the box, around rest: loops come there from all sides, whichever side the box is on
 DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
 ROUNDING, DIFFERENCES = 1e-9, 1e-6  # relative: what of S and of a rest is rounding, and where f_X is a difference
@@ -60,23 +60,23 @@ def stability(case: Case) -> Verdict:
 
 
 def reference(case: Case) -> Verdict:
-    """Whether the declared reference is a trajectory of f with kappa, over the experiment's or HORIZON seconds."""
+    """Whether the declared reference is a trajectory of f with kappa, as long as loops last, or `speed.settled`."""
     plant = case.plant
     if not plant.tracks:
         text = "f or kappa depends on time and no reference(t, p, M) says what it follows: its loops have no radius"
         return "warn", f"{text}; declare one to evaluate the plant"
-    seconds = case.experiment.seconds if case.experiment else HORIZON
+    seconds = case.experiment.seconds if case.experiment else speed.settled(plant)
     excess, t = slip(plant, seconds)
     if excess <= SLIP:
-        return "yes", f"a trajectory of f with kappa for {plant.time_text(seconds)}, to {excess:.1g}"
+        return "yes", f"a trajectory of f with kappa for {plant.time_text(seconds, '.3g')}, to {excess:.1g}"
     came = f"got one that differs from it by {excess:.2g} at t = {plant.time_text(t, '.3g')}"
     cure = "let its derivative be f(reference, kappa(reference, t), t)"
     return "no", f"{plant.location('reference')} expected a trajectory of f with kappa, {came}; {cure}"
 
 
 def slip(plant: Plant, t_end: float) -> tuple[float, float]:
-    """sup |reference' - f(reference, kappa)| / (1 + |reference'|) over t_end seconds, and the time where it is."""
-    t = np.linspace(0.0, t_end, 1001)
+    """sup |reference' - f(reference, kappa)| / (r + |reference'|) over t_end, r the usual rate; and when it is."""
+    t, usual = np.linspace(0.0, t_end, 1001), speed.rates(plant).usual
     right = plant.f(plant.target(t), plant.u_target(t), t)
     if plant.traced:
         trace = Trace(plant)
@@ -86,8 +86,8 @@ def slip(plant: Plant, t_end: float) -> tuple[float, float]:
             values = python(by_t, ["t", *names("p", len(plant.p))])(t, *plant.p)
         slopes = [array_math.stack(values, t)]
     else:  # differences, of which the nearest counts
-        slopes = [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in STEPS]
-    gaps = [np.linalg.norm(s - right, axis=-1) / (1 + np.linalg.norm(s, axis=-1)) for s in slopes]
+        slopes = [(plant.target(t + h) - plant.target(t - h)) / (2 * h) for h in np.array(STEPS) / usual]
+    gaps = [np.linalg.norm(s - right, axis=-1) / (usual + np.linalg.norm(s, axis=-1)) for s in slopes]
     gap = np.min(np.nan_to_num(gaps, nan=np.inf, posinf=np.inf), axis=0)
     return float(gap.max()), float(t[np.argmax(gap)])
 
@@ -196,7 +196,7 @@ def V_falls(case: Case) -> Verdict:
             rates = np.array([rate(*row, *plant.p)[0] for row in X], dtype=float)
     else:  # central differences along the loop's velocity
         velocity = plant.f(X, plant.kappa(X))
-        h = 1e-6 / (1.0 + np.linalg.norm(velocity, axis=-1))
+        h = 1e-6 / (speed.rates(plant).usual + np.linalg.norm(velocity, axis=-1))
         rates = (plant.V(X + h[:, None] * velocity) - plant.V(X - h[:, None] * velocity)) / (2 * h)
     rising = ~(rates < 0)
     if not rising.any():

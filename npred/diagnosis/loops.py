@@ -11,9 +11,9 @@ from npred.base import randomness
 from npred.diagnosis.case import Case
 from npred.loop.closed_loop import simulate
 from npred.loop.trajectories import Trajectories
+from npred.plants import speed
 from npred.prediction.methods import RK4
 
-HORIZON = 100.0  # s, over which a reference and its loops are looked at where no experiment says how long
 LOOPS = 64  # starts, of the states of the box
 STEP, BEARS = 0.5, 2.0  # a step of RK4, times the fastest rate on the box; the longest that is stable
 MOST = 20_000  # steps
@@ -82,11 +82,11 @@ def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME) -> Fate:
 
 
 def times(case: Case) -> tuple[float, float, float]:
-    """The step, the seconds to look at, and the seconds that are needed: SPAN time constants, or HORIZON."""
+    """The step, the time to look at, and the time that is needed: SPAN time constants, or `speed.settled`."""
     plant, X = case.plant, case.X
     f_X, f_U = plant.jacobians(X, case.u)
     rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
-    horizon = HORIZON
+    horizon = speed.settled(plant)
     if plant.rests:
         eigenvalues = np.linalg.eigvals(plant.linearised()[0])
         rates, horizon = max(rates, np.abs(eigenvalues).max()), SPAN / -eigenvalues.real.max()

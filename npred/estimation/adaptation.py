@@ -46,7 +46,7 @@ class DelayAdaptation(DelayLaw):
     def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
         """The law with the bounds and the gamma that were left out. Raises ConfigError as `suited_gamma` does."""
         law = super().suited(plant, D, D_hat)
-        return law if law.gamma is not None else law._with("gamma", suited_gamma(plant, delay(D, D_hat), law.b))
+        return law if law.gamma is not None else law._with("gamma", suited_gamma(plant, delay(plant, D, D_hat), law.b))
 
     def check(self, plant: Plant) -> None:
         """Raise ConfigError where inputs have several delays, and where there is no V to divide by."""
@@ -109,8 +109,9 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
     With an error e of the estimate w = q1 e to first order, and q1 = dU/dt, so that e' = -gamma R e with
         R = 3/2 |dU/dt|² / (1 + V + 3/2 b |dU/dt|² D²)
     from [DAPF, eq. 12], the error in the denominator being D. gamma = 1 / max ∫ R dt, the maximum over starts of the
-    box, along the loop of the exact prediction from D on: U = kappa(X). It is rounded down to 1, 2 or 5 times a power
-    of ten, so that no machine's rounding changes it. That is a scale, not a proof: npred plants check simulates loops.
+    box, along the loop of the exact prediction from D on: U = kappa(X). gamma / D, without a unit of time, is rounded
+    down to 1, 2 or 5 times a power of ten, so that no machine's rounding changes it. That is a scale, not a proof:
+    npred plants check simulates loops.
     Raises ConfigError where loops from the box leave the finite numbers, and where there is no box or no equilibrium.
     """
     if missing := [name for name in plant.states if name not in plant.box]:
@@ -124,8 +125,8 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
     if not (largest := float(total.max())) > 0:
         what = f"none could be derived, for loops of plant {plant.name} leave the finite numbers or do not move"
         raise ConfigError(f"gamma: expected a gain, {what}; give gamma")
-    power = 10.0 ** math.floor(math.log10(1 / largest))
-    return float(f"{max(k for k in (1, 2, 5) if k * power * largest <= 1) * power:.0e}")
+    power = 10.0 ** math.floor(-math.log10(largest * D))
+    return float(f"{max(k for k in (1, 2, 5) if k * power * largest * D <= 1) * power:.0e}") * D
 
 
 def _excitation(plant: Plant, D: float, b: float, cells: int) -> np.ndarray:

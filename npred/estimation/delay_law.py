@@ -11,6 +11,7 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError
 from npred.plants.base import Plant
+from npred.plants.speed import rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.delays.problem import Kernel
 from npred.prediction.methods import RK4
@@ -62,12 +63,12 @@ class DelayLaw(ABC):
         """Raise ConfigError where the delay law is not for this plant; asked before anything runs."""
 
     def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
-        """The law with its defaults filled in, for delays D (...) and first estimates D_hat (...), in seconds.
+        """The law with its defaults filled in, for delays D (...) and first estimates D_hat (...).
 
         The bounds are those of the paper for D = 1, 0.1 D to 4 D of the longest delay, widened to D and D_hat.
         """
         ends = np.concatenate([np.ravel(D), np.ravel(D_hat)])
-        longest = delay(D, D_hat)
+        longest = delay(plant, D, D_hat)
         bounds = (float(min(0.1 * longest, *ends)), float(max(4.0 * longest, *ends)))
         return self if self.bounds is not None else self._with("bounds", bounds)
 
@@ -80,7 +81,7 @@ class DelayLaw(ABC):
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
     ) -> Any:  # fmt: skip
-        """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t in seconds.
+        """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t.
 
         u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
         to the bounds after each step.
@@ -105,20 +106,13 @@ class DelayLaw(ABC):
         return None
 
     def ends(self, dt: float) -> tuple[float, float]:
-        """The estimates, in seconds, from which on outwards D_hat is at its bound."""
+        """The estimates from which on outwards D_hat is at its bound."""
         return self.bounds
 
 
-def resolved(name: str, dt: float, D: np.ndarray) -> None:
-    """Raise ConfigError for a control step longer than a delay that is estimated: u is one command then."""
-    if (longer := D[(D > 0) & (dt > D)]).size:
-        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
-        raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
-
-
-def delay(D: Any, D_hat: Any = 0.0) -> float:
-    """The delay that a law is made for: the longest, else the longest estimate, else 1 s."""
-    return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1.0
+def delay(plant: Plant, D: Any, D_hat: Any = 0.0) -> float:
+    """The delay that a law is made for: the longest, else the longest estimate, else the usual time constant."""
+    return float(np.max(D, initial=0.0)) or float(np.max(D_hat, initial=0.0)) or 1 / rates(plant).usual
 
 
 class Part(NamedTuple):
@@ -136,7 +130,7 @@ class Part(NamedTuple):
 
 
 def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
-    """The laws' part of a control step of dt seconds; None freezes D_hat."""
+    """The laws' part of a control step of dt; None freezes D_hat."""
     control = control_law(plant)
     if law is None:
         return Part(control, np.array((0.0, np.inf)))

@@ -12,6 +12,13 @@ so that little movements, of a disturbance at rest say, replace the errors of a 
 the size of W, errors in the window far above their level, and far above those of another candidate, mean that the delay
 has changed: the memory starts again from the window. All that is in npred/kernels/c/candidates.h.
 
+The rates and times follow from one time T: L = 3 / T, omega = 8 / T, memory = 5 T, window = T. It is the largest of
+    high / 4, of the largest delay, for the memory has to hold what all candidates say of one command;
+    0.7 / the usual rate of kappa's loop, and 1 / the rate of a reference (npred.plants.speed), for commands that move
+        more slowly than an observer are taken for a disturbance;
+    20 control steps, which a window needs.
+Of the paper's plant with bounds of 0.1 to 4 s it is 1 s.
+
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
 samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
 commands, and the gains are those of the time since the last one. A sample that arrives late is that of the step
@@ -36,9 +43,15 @@ from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant
 from npred.plants.black_box import difference
+from npred.plants.speed import of_reference, rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods.runge_kutta import Heun
 
+SHARE, FEWEST = (
+    0.7,
+    20,
+)  # of the usual time constant; control steps in a window, as npred/kernels/c/candidates.h has them
+DIGITS = 9  # of a number of control steps, before it is rounded: half a step is that in any unit of time
 NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
 
 
@@ -56,14 +69,14 @@ class DelayObserver(DelayLaw):
         The range of D_hat; by default 0.1 to 4 times the longest delay of a loop, widened to D and D_hat.
     candidates : int, default 80
         Largest number of candidates of the delay within the bounds.
-    L : float, 1/s, default 3.0
-        Rate at which an observer follows X.
-    omega : float, 1/s, default 8.0
-        Rate at which its disturbance follows.
-    memory : float, s, default 5.0
-        Forgetting time of errors.
-    window : float, s, default 1.0
-        Forgetting time of the latest errors.
+    L : float, 1 / time, optional
+        Rate at which an observer follows X; by default 3 / T, with T of `pace`.
+    omega : float, 1 / time, optional
+        Rate at which its disturbance follows; by default 8 / T.
+    memory : float, in the plant's unit of time, optional
+        Forgetting time of errors; by default 5 T.
+    window : float, in the plant's unit of time, optional
+        Forgetting time of the latest errors; by default T.
 
     Raises
     ------
@@ -72,15 +85,16 @@ class DelayObserver(DelayLaw):
     """
 
     candidates: int = 80
-    L: float = 3.0
-    omega: float = 8.0
-    memory: float = 5.0
-    window: float = 1.0
+    L: float | None = None
+    omega: float | None = None
+    memory: float | None = None
+    window: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rates = array_checks.floats("adaptation: L, memory, window", (self.L, self.memory, self.window))
-        if not (rates > 0).all() or not 0 <= array_checks.number("adaptation: omega", self.omega) < math.inf:
+        values = [1.0 if value is None else value for value in (self.L, self.memory, self.window)]
+        omega = array_checks.number("adaptation: omega", 1.0 if self.omega is None else self.omega)
+        if not (array_checks.floats("adaptation: L, memory, window", values) > 0).all() or not 0 <= omega < math.inf:
             raise ConfigError(f"adaptation: expected L, memory, window > 0 and omega >= 0, got {self}; give others")
         if not isinstance(self.candidates, int | np.integer) or self.candidates < 3:
             raise ConfigError(f"adaptation: expected at least 3 candidates, got {self.candidates!r}; raise it")
@@ -95,8 +109,8 @@ class DelayObserver(DelayLaw):
         raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
 
     def thetas(self, dt: float) -> np.ndarray:
-        """The candidates (K,), in seconds: whole control steps apart, from bound to bound."""
-        low, high = (round(bound / dt) for bound in self.bounds)
+        """The candidates (K,): whole control steps apart, from bound to bound."""
+        low, high = (round(round(bound / dt, DIGITS)) for bound in self.bounds)
         stride = max(1, math.ceil((high - low) / (self.candidates - 1)))
         return np.arange(low, max(high, low + 2 * stride) + 1, stride) * dt
 
@@ -106,13 +120,26 @@ class DelayObserver(DelayLaw):
         half = (thetas[1] - thetas[0]) / 2
         return self.bounds[0] + half, self.bounds[1] - half
 
+    def pace(self, plant: Plant, dt: float) -> tuple[float, float, float, float]:
+        """L, omega, memory and window, defaults by T = max(high / 4, 0.7 / the usual rate, 1 / the reference's, 20 dt),
+        high the upper bound of D_hat.
+        """
+        slow = of_reference(plant)
+        T = max(self.bounds[1] / 4, SHARE / rates(plant).usual, 1 / slow if slow > 0 else 0.0, FEWEST * dt)
+        defaults = {"L": 3 / T, "omega": 8 / T, "memory": 5 * T, "window": T}
+        L, omega, memory, window = (
+            default if (value := getattr(self, name)) is None else value for name, default in defaults.items()
+        )
+        return L, omega, memory, window
+
     def observer(self, plant: Plant, dt: float) -> tuple[Callable[..., None], np.ndarray, int]:
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
-        leak, fade = 1 - math.exp(-dt / self.memory), math.exp(-dt / self.window)
-        shifts = np.rint(thetas[:, None] * plant.ratios / dt).ravel()
-        follow = 1 - math.exp(-self.L * dt), self.L * self.omega * dt
-        settings = [count, *follow, leak, fade, 2 * self.window / dt, *self.bounds]
+        L, omega, memory, window = self.pace(plant, dt)
+        leak, fade = 1 - math.exp(-dt / memory), math.exp(-dt / window)
+        shifts = np.rint(np.round(thetas[:, None] * plant.ratios / dt, DIGITS)).ravel()
+        follow = 1 - math.exp(-L * dt), L * omega * dt
+        settings = [count, *follow, leak, fade, 2 * window / dt, *self.bounds]
         kernel = (_traced if plant.traced else _called)(plant, count)
         size = count * (3 * n + m) + 3 * n + 3  # numbers of the struct Bank
         return kernel, np.array([*settings, *shifts, *thetas], dtype=float), size

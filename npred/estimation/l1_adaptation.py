@@ -1,6 +1,7 @@
 """The published law for an actuator state that is not measured [Bhan, Krstic, Shi, arXiv:2509.26443, eq. 82]."""
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,8 +26,8 @@ class L1Adaptation(DelayLaw):
 
     Parameters
     ----------
-    gamma : float above 0, default 1.0
-        Adaptation gain.
+    gamma : float above 0, optional
+        Adaptation gain, a time; by default a quarter of the upper bound: 1 s for D = 1 s.
     b : float, default 1.0
         Has no meaning here; laws of a pipeline have it.
     bounds : (low, high), in the plant's unit of time, optional
@@ -40,7 +41,13 @@ class L1Adaptation(DelayLaw):
         For a gain or bounds that make no sense.
     """
 
+    gamma: float = None  # type: ignore[assignment]
     epsilon: float = 0.05
+
+    def suited(self, plant: Plant, D: Any, D_hat: Any) -> Self:
+        """The law with the bounds and the gamma that were left out."""
+        law = super().suited(plant, D, D_hat)
+        return law if law.gamma is not None else law._with("gamma", law.bounds[1] / 4)
 
     def check(self, plant: Plant) -> None:
         """Raise ConfigError where the plant is not traced, or has no one delay to estimate, as for the paper's law."""

@@ -86,12 +86,14 @@ class Exported(NamedTuple):
 
 @dataclass(frozen=True)
 class WholeController:
-    """A controller to export; its name in words, the first state and the seconds of its loop, which an FMU tells."""
+    """A controller to export; its name in words, the first state and the length of its loop, which an FMU tells, by
+    default 40 delays.
+    """
 
     controller: "Controller"
     about: str = ""
     X0: "ArrayLike | None" = None
-    t_end: float = 1.0
+    t_end: float | None = None
 
     @property
     def facts(self) -> dict[str, object]:

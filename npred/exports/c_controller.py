@@ -98,7 +98,7 @@ def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exp
 
 
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
-    """The smallest and the largest D_hat that the controller in C takes, in seconds; infinity for no limit."""
+    """The smallest and the largest D_hat that the controller in C takes; infinity for no limit."""
     low, high = controller.settings.bounds.tolist()
     return low, min(high, controller.longest_D_hat) if controller.settings.reads_commands else high
 

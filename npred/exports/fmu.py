@@ -29,6 +29,7 @@ from npred.exports import Exported, WholeController, c_controller, c_files
 from npred.guard.guarded import PASSES, Guarded, bare
 from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
+from npred.plants.speed import long
 
 SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "windows": "windows-gnu"}  # as zig names them
@@ -196,7 +197,8 @@ def _description(
     units = sorted({variable.unit for variable in listed} - {""})
     _each(ET.SubElement(root, "UnitDefinitions"), "Unit", {key: {} for key in units})
     _each(ET.SubElement(root, "LogCategories"), "Category", {key: {"description": ABOUT[key]} for key in ABOUT})
-    times = {"startTime": 0.0, "stopTime": of.t_end, "stepSize": controller.dt}
+    stop = of.t_end or 40 * controller.D_hat or long(controller.plant)
+    times = {"startTime": 0.0, "stopTime": stop, "stepSize": controller.dt}
     ET.SubElement(root, "DefaultExperiment", {key: repr(float(value)) for key, value in times.items()})
     elements, structure = ET.SubElement(root, "ModelVariables"), ET.SubElement(root, "ModelStructure")
     for reference, variable in enumerate(listed):

@@ -14,12 +14,12 @@ from npred.plants import inputs
 from npred.plants.base import REST, Plant, require
 
 SAMPLES = 256  # states of the box
-SPAN, MOMENTS = 100.0, 64  # seconds of a reference without a period, and times in them
+SPAN, MOMENTS = 100.0, 64  # times the box over the speed of a reference without a period, and times in that
 STEPS, SHORTEST = 100, 1e-6  # steps of the search for a point of rest; the shortest share of one
 STARTS, ROUGH, NEAR, DECIMALS = 16, 1e-3, 1e-7, 6  # for the search of the nearest, in half widths of the box
 MATCHED = 1e-6  # share of the largest rate that may be out of reach of the inputs
 ZERO = 1e-9  # share of a derivative's size over the box: below it an input does not act
-SLOW = 1e-6  # 1/s: rates below are those of integrators, which rounding moves off 0
+SLOW = 1e-6  # share of the derivatives' size: rates below are those of integrators, which rounding moves off 0
 
 
 class Design:
@@ -143,7 +143,7 @@ class Design:
             if np.array_equal(moved, z):
                 break
             z = moved
-        size = max(1.0, float(np.linalg.norm(z[:n])))
+        size = max(1.0, float(np.linalg.norm(z[:n]))) * max(map(np.linalg.norm, self.plant.jacobians(z[:n], z[n:])))
         return z, bool(np.linalg.norm(f(z[:n], z[n:])) <= REST * size)
 
     @cached_property
@@ -175,8 +175,15 @@ class Design:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """Times of a period of a reference, or of SPAN seconds, (MOMENTS,); 0 for a point of rest."""
-        return np.linspace(0.0, self.plant.period or SPAN, MOMENTS, endpoint=False) if self.follows else np.zeros(1)
+        """Times of a period of a reference, or of SPAN, (MOMENTS,); 0 for a point of rest."""
+        if not self.follows:
+            return np.zeros(1)
+        end = self.plant.period
+        if end is None:  # as long as f at its start would take to cross the box SPAN times
+            X, u = (self.values(part, np.zeros((1, self.plant.n)), np.zeros(1))[0] for part in self.target)
+            speed = np.abs(self.plant.f(X, u) / self.widths).max()
+            end = SPAN / speed if speed > 0 else SPAN
+        return np.linspace(0.0, end, MOMENTS, endpoint=False)
 
     @cached_property
     def targets(self) -> tuple[np.ndarray, np.ndarray]:
@@ -242,15 +249,17 @@ class Design:
     def sizes(self) -> np.ndarray:
         """A size of each input, (m,): how far it may move to the nearer of its bounds, but no more than this.
 
-        With so much of it a state crosses half its box within the time constant of the plant's fastest rate, of 1
-        where all its rates are 0: so a loop is about as fast as its plant, however strong its motors are.
+        With so much of it a state crosses half its box within the time constant of the plant's fastest rate: so a loop
+        is about as fast as its plant, however strong its motors are. Where all rates are 0, that of its derivatives, as
+        states that cross their half boxes move others; where these are 0 too, as of x' = u, nothing says what is fast,
+        and it is 1 of the unit of time.
         """
         u = self.targets[1][0]
         room = np.abs(self.limits - u[:, None]).min(axis=1)
         A, B = self.linearised
-        rate = np.abs(np.linalg.eigvals(A)).max()
+        rate, moved = np.abs(np.linalg.eigvals(A)).max(), np.abs(A * self.widths / self.widths[:, None]).max()
         crossings = np.abs(B / self.widths[:, None]).max(axis=0)
-        free = (rate if rate > SLOW else 1.0) / np.where(crossings > 0, crossings, 1.0)
+        free = (rate if rate > SLOW * moved else moved or 1.0) / np.where(crossings > 0, crossings, 1.0)
         return np.where(room > 0, np.minimum(room, free), free)
 
     @cached_property

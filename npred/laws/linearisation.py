@@ -22,7 +22,7 @@ from npred.plants.base import Plant
 REGULAR = 1e-6  # share of the largest determinant over the box: below it the decoupling matrix is singular
 STARTS, SWEEPS, CLEARLY = 4, 100, 0.99  # of the search for eigenvectors; the share by which a start counts as better
 TRIES = 20  # random choices of the free parameters of equal poles, of which the best conditioned is taken
-ACCURATE = 1e-4  # error of a coefficient of the poles' polynomial, relative to 1 + the largest
+ACCURATE = 1e-4  # error of a coefficient of the poles' polynomial, relative to the largest pole's
 MOST = 5000  # combinations of states that are tried as outputs
 
 OutputMap = Callable[[Vector, Value], Value]  # its arguments: the components of x, and t
@@ -50,7 +50,7 @@ def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
     ----------
     plant : Plant
         From npred.plant.
-    poles : n complex numbers, 1/s
+    poles : n complex numbers, 1 / the plant's unit of time
         Poles of the loop without delay.
 
     Returns
@@ -74,7 +74,7 @@ def pole_placement(plant: Plant, poles: Sequence[complex]) -> Law:
         except np.linalg.LinAlgError:
             continue
         # The polynomials are compared, for equal roots split by rounding.
-        error = np.abs(actual - expected) / (1 + np.abs(values).max()) ** np.arange(plant.n + 1)
+        error = np.abs(actual - expected) / np.abs(values).max() ** np.arange(plant.n + 1)
         if error.max() <= ACCURATE:
             return along(design, K)
     raise design.refusal("a linearisation whose poles the inputs move, got another", "take lqr")
@@ -154,7 +154,7 @@ def feedback_linearisation(plant: Plant, poles: Sequence[complex] | None = None,
     ----------
     plant : Plant
         From npred.plant.
-    poles : complex numbers, 1/s, optional
+    poles : complex numbers, 1 / the plant's unit of time, optional
         The r_1 + r_2 + … poles of the outputs in turn; by default each is minus the geometric mean of the rates of
         the loop of lqr.
     output : names of states, one per input, or function (x, t, p, M), optional

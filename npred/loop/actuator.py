@@ -26,7 +26,7 @@ acting = _kernel("acting", "k, dt, D, held, &U", 2)
 def history(before: float, longest: float, dt: float, past: Past) -> tuple[int, np.ndarray, np.ndarray]:
     """The first step's number and the ring buffers, filled with the inputs of t < 0.
 
-    They reach back to `before` seconds before t = 0, and to `longest` seconds at any time.
+    They reach back to `before` before t = 0, and to `longest` at any time.
     """
     origin, rows = int(before / dt) + 3, int(max(before, longest) / dt) + 4
     commands = past.steps(origin, dt)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.progress import announce, counted, quiet
-from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
 from npred.loop import clocked, engine, loop_checks
 from npred.loop.loop import Loop, LoopParts
@@ -27,7 +26,7 @@ __all__ = ["Samples", "Trajectories", "simulate"]
 
 def simulate(
     plant: Plant, predictor: Predictor | None, *, X0: Any, t_end: float, D: Any = None, D_hat: Any = None,
-    dt: float = 0.005, adaptation: DelayLaw | None = None, every: int = 1, samples: ArrayLike | None = None,
+    dt: float | None = None, adaptation: DelayLaw | None = None, every: int = 1, samples: ArrayLike | None = None,
     progress: Callable[[int], Any] | bool | None = None, **parts: Unpack[LoopParts],
 ) -> Trajectories:  # fmt: skip
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
@@ -59,8 +58,9 @@ def simulate(
         plant that declares its delay.
     D_hat : array (...), in the plant's unit of time, optional
         Estimate of the delay; None for a plant that declares it.
-    dt : float, in the plant's unit of time, default 0.005
-        Control step; U is held over it.
+    dt : float, in the plant's unit of time, optional
+        Control step; U is held over it. By default npred.loop.control_step.usual of the delay and of the plant's
+        rates, 0.005 for a delay of 1 or 2.
     adaptation : DelayLaw or None, optional
         Law of the estimate D_hat; None freezes it.
     every : int, default 1
@@ -77,7 +77,7 @@ def simulate(
     Returns
     -------
     Trajectories
-        Closed loops: t (nt,) in seconds, X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
+        Closed loops: t (nt,), X and P (..., nt, n), U (..., nt, m), D_hat, N and energy (..., nt).
 
     Raises
     ------
@@ -94,21 +94,24 @@ def run(
     progress: Callable[[int], Any] | bool | None = None,
 ) -> Trajectories:  # fmt: skip
     """Simulate a loop over t_end; see `simulate`."""
-    plant, dt, law = loop.plant, loop.dt, loop.adaptation
+    plant, law = loop.plant, loop.adaptation
     loop_checks.parts(loop)
     if loop.safety is not None:
         loop.safety.check(plant)
     loop_checks.reality(loop)
     if loop.on_a_clock:
         clocked.check(loop)
-    loop_checks.times(loop, t_end, every)
-    loop_checks.record(plant, 1, t_end, dt, every)  # before a function of t is asked for each step
     X0 = array_checks.floats("X0", loop.X0)
     loop_checks.start(plant, X0)
     D, D_hat, table = loop.D, loop.D_hat, None
     if plant.declares_delay:
         D, D_hat = _declared(loop.real, X0), D_hat if loop.blind else _declared(plant, X0)
-    elif callable(D):
+    first = D(0.0) if callable(D) else D
+    loop = loop_checks.stepped(loop, first, D_hat, t_end)
+    dt = loop.dt
+    loop_checks.times(loop, t_end, every)
+    loop_checks.record(plant, 1, t_end, dt, every)  # before a function of t is asked for each step
+    if callable(D):
         table = _tabulated(D, t_end, dt)
         D = table[0]
     D, D_hat = array_checks.floats("D", D), array_checks.floats("D_hat", D_hat)
@@ -116,7 +119,6 @@ def run(
     array_checks.delays("D_hat", D_hat)
     loop_checks.one_per_loop(plant, D, X0)
     if law is not None:
-        delay_law.resolved("dt", dt, D)
         law = law.suited(plant, D if table is None else table, D_hat)
         array_checks.within("D_hat", D_hat, law.bounds, plant.time_unit)
     shape = array_checks.batch(X0=X0.shape[:-1], D=D.shape, D_hat=D_hat.shape)
@@ -124,6 +126,7 @@ def run(
         raise ConfigError(f"X0, D, D_hat: expected at least one loop, got a batch of shape {shape}; give one a start")
     X0 = np.broadcast_to(X0, (*shape, plant.n)).reshape(-1, plant.n)
     D, D_hat = (np.broadcast_to(a, shape).reshape(-1) for a in (D, D_hat))
+    loop_checks.delays(loop, D, D_hat, t_end)
     delays = np.zeros((0, len(D)))
     if table is not None:
         padded = table.reshape(len(table), *(1,) * (len(shape) - table.ndim + 1), *table.shape[1:])

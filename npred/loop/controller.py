@@ -11,8 +11,9 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
+from npred.base.progress import say
 from npred.estimation.delay_law import DelayLaw, Part, part
-from npred.loop import engine, loop_checks, signals
+from npred.loop import control_step, engine, loop_checks, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
@@ -68,12 +69,12 @@ def controller(
 
 
 class Controller(InNotebook):
-    """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt seconds.
+    """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt.
 
     With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it
     remembers; with "history" it remembers its own commands and reads u from them at D_hat. Those before the first step
     are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of the first
-    X. `D_hat` (seconds) is the estimate that the next step uses, by default the middle of the
+    X. `D_hat` is the estimate that the next step uses, by default the middle of the
     adaptation's bounds. Where `input_bounds` leave U free, it is clipped to npred.plants.inputs.widest. Steps equal
     those of npred.simulate up to rounding, and those of its export in C to the bit. Its memory is not shared, so one
     controller belongs to one thread; a pickled one goes on where it stood.
@@ -81,11 +82,11 @@ class Controller(InNotebook):
     With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
     further from it than `outlier_limit` times half the box, or |X_hat| where that is more, in any state, is not
     believed: X_hat takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples
-    in a row for D_hat seconds are, within six half widths of the box's middle, and ten times as far after each further
+    in a row for D_hat are, within six half widths of the box's middle, and ten times as far after each further
     D_hat: X has jumped. `outlier_limit=None` believes all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
-    `max_sample_age` seconds ago (20 control steps by default): X_hat is the model's state from the last sample on.
+    `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
     believes an output within 6 `outlier_limit` standard deviations, and begins anew where it did not believe one for
     D_hat. `watchdog` says what U is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
@@ -131,6 +132,12 @@ class Controller(InNotebook):
         array_checks.within(
             "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
         )
+        if not plant.declares_delay:  # of a delay that is not known, the longest of the law
+            longest = D_hat if law is None else law.bounds[1]
+            if law is not None:
+                control_step.check("dt", dt, longest)
+            if text := control_step.doubt("dt", dt, longest, plant.time_unit):
+                say(text)
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(kernels.memory, D_hat)
         self._set_state(D_hat, None, 0, 0.0)
@@ -144,7 +151,7 @@ class Controller(InNotebook):
         plant, law, D_hat = loop.plant, loop.adaptation, loop.D_hat
         if law is not None:
             if D_hat is None and law.bounds is None:
-                what = "expected a first estimate in seconds, for the law has no bounds, got none"
+                what = "expected a first estimate, for the law has no bounds, got none"
                 raise ConfigError(f"D_hat: {what}; give D_hat")
             D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
             array_checks.delays("D_hat", D)
@@ -198,7 +205,7 @@ class Controller(InNotebook):
 
     @property
     def D_hat(self) -> float:
-        """The delay estimate of the next step, in seconds. Set it within the adaptation's bounds, else ConfigError.
+        """The delay estimate of the next step. Set it within the adaptation's bounds, else ConfigError.
 
         D_hat goes on from there as from a first step, without phi of the last one.
         """
@@ -210,7 +217,7 @@ class Controller(InNotebook):
 
     @property
     def t(self) -> float:
-        """The time of the next step, in seconds, which a plant that depends on time reads: 0 at the start.
+        """The time of the next step, which a plant that depends on time reads: 0 at the start.
 
         Each step adds dt. Set it to go on from another time, finite, else ConfigError, as from a first step.
         """
@@ -232,12 +239,12 @@ class Controller(InNotebook):
 
     @property
     def reach(self) -> float:
-        """How far back its commands are kept, in seconds."""
+        """How far back its commands are kept."""
         return (len(self.memory.held) - 4 - self._oldest) * self.dt
 
     @property
     def longest_D_hat(self) -> float:
-        """The longest delay, in seconds, by which a step can read its commands."""
+        """The longest delay by which a step can read its commands."""
         return (len(self.memory.held) - 3 - self._oldest) * self.dt
 
     @property
@@ -351,7 +358,7 @@ class Controller(InNotebook):
         return self._last_U
 
     def state(self) -> dict[str, Any]:
-        """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0 (seconds)."""
+        """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0."""
         z = self.memory
         phi = float(z.phi_before[0])
         remembered: dict[str, Any] = {}

@@ -133,5 +133,5 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
 
 
 def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:
-    """Half the range of the candidates that an observer of the delay cannot tell apart, in seconds; NaN at first."""
+    """Half the range of the candidates that an observer of the delay cannot tell apart; NaN at first."""
     return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, n, m), address(law), address(memory))

@@ -31,7 +31,7 @@ class Loop:
 
     plant: Plant  #: the controller's model, from npred.plant
     predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
-    dt: float = 0.005  #: control step; U is held over it
+    dt: float = None  # type: ignore[assignment]  #: control step; U is held over it; by default it follows D
     adaptation: DelayLaw | None = None  #: law of the estimate D_hat; None freezes it
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's

@@ -1,20 +1,24 @@
 """Checks of the arguments of a closed loop before it runs: the compiled engine trusts their shapes."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
+from npred.base.progress import say
 from npred.estimation.delay_law import DelayLaw
 from npred.estimation.observers import Observer
+from npred.loop import control_step
 from npred.loop.loop import HISTORY, MEASURED, Loop
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
 from npred.loop.timing import ROUNDING, Timing
 from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
+from npred.plants.speed import rates
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method
 
@@ -76,6 +80,32 @@ def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
     return np.broadcast_to(array, (*(shape if array.ndim > 1 else ()), m)).reshape(-1, m)
 
 
+def stepped(loop: Loop, D: Any, D_hat: Any, t_end: Any) -> Loop:
+    """The loop with a control step, where none is given the usual one of the delay, else of the estimate."""
+    if loop.dt is not None:
+        return loop
+    ends, delays = array_checks.number("t_end", t_end), array_checks.floats("D", D)
+    spans = delays if (delays > 0).any() else array_checks.floats("D_hat", D_hat)
+    dt = min(control_step.usual(spans, rates(loop.plant).fastest), ends)
+    return replace(loop, dt=dt)
+
+
+def delays(loop: Loop, D: np.ndarray, D_hat: np.ndarray, t_end: float) -> None:
+    """Raise ConfigError for a control step that is longer than a delay which is estimated; say where it is long for one
+    that is predicted over, and where no command of the loop reaches the plant. A declared delay may pass through 0.
+    """
+    plant = loop.plant
+    if loop.predictor is None or plant.declares_delay:
+        return
+    predicted = np.where((D_hat > 0) | (loop.adaptation is not None), D, 0.0)
+    if loop.adaptation is not None:
+        control_step.check("dt", loop.dt, D)
+    if text := control_step.doubt("dt", loop.dt, predicted, plant.time_unit):
+        say(text)
+    if (late := predicted[predicted > t_end]).size:
+        say(f"t_end: no command reaches the plant before t_end = {t_end:g}, with D = {plant.time_text(late.min())}")
+
+
 def times(loop: Loop, t_end: Any, every: Any) -> None:
     """Raise ConfigError for what is no length of a loop or no control step of it, and for samples or kept states
     between two steps.
@@ -106,7 +136,7 @@ def record(plant: Plant, loops: int, t_end: float, dt: float, every: int) -> Non
 
 
 def history(plant: Plant, reach: float, dt: float) -> None:
-    """Raise ConfigError for commands of the last `reach` seconds that this machine cannot hold."""
+    """Raise ConfigError for commands of the last `reach` that this machine cannot hold."""
     cure = "shorten D, the bounds of the law or the delay of the measurement, or lengthen dt"
     array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
 

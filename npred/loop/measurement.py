@@ -128,7 +128,7 @@ class Measurement(Sensors):
 
 
 def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[str, Any]:
-    """The measurement of n states by the names of npred.loop.signals: times in control steps of dt seconds.
+    """The measurement of n states by the names of npred.loop.signals: times in control steps of dt.
 
     `first` is the number that the first of these loops has in the batch.
     """

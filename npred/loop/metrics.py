@@ -9,12 +9,13 @@ from numpy.typing import ArrayLike
 from npred.base import grid
 from npred.loop.closed_loop import Trajectories
 from npred.plants.base import Plant
+from npred.plants.speed import settled
 
 SETTLED = 0.01  # times size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
 LOST = 0.2  # times size(X*): a loop that ends further away is lost
 TAIL = 0.1  # share of the horizon: the radius is the supremum over this last share
-NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width in seconds of its differences
+NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width of its differences, as a share of the delay
 CELLS = 4000  # parts of the horizon, along which the gain of a plant that tracks is integrated
 
 
@@ -63,8 +64,9 @@ def arrival(plant: Plant, X: np.ndarray, t: Any, D: Any) -> np.ndarray:
     It starts at t + D (N,), and the derivative of D by time is a difference: its error costs steps, not digits.
     """
     s = np.broadcast_to(t + D, len(X))
+    h = STEP * np.maximum(np.max(D, initial=0.0), np.finfo(float).tiny)
     for _ in range(NEWTON):
-        slope = (plant.delay(X, s + STEP) - plant.delay(X, s - STEP)) / (2 * STEP)
+        slope = (plant.delay(X, s + h) - plant.delay(X, s - h)) / (2 * h)
         s = s - (s - t - plant.delay(X, s)) / (1 - slope)
     return s
 
@@ -118,12 +120,12 @@ def _gap_where_it_acts(t: np.ndarray, X: np.ndarray, P: np.ndarray, D: np.ndarra
 
 
 def settle_time(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
-    """The time in seconds after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
+    """The time after which |X - X*| stays within 1 % of size(X*), (...); infinite where it does not."""
     return _last_outside(loops.t, _length(loops.X - X_star), SETTLED * size(X_star))
 
 
 def decay_rate(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
-    """The mean rate in 1/s at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
+    """The mean rate at which |X - X*| falls from 1e-2 to 1e-4 of size(X*), (...); NaN where it does not."""
     distance = _length(loops.X - X_star) / size(X_star)
     ends = [_last_outside(loops.t, distance, level) for level in (1e-2, 1e-4)]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -168,20 +170,21 @@ def lost(loops: Trajectories, X_star: ArrayLike, far: float = LOST) -> np.ndarra
 
 
 @cache
-def gain(plant: Plant, t_end: float = 100.0) -> float:
+def gain(plant: Plant, t_end: float | None = None) -> float:
     """|dX*| per unit of a constant control error: |(f_X + f_U kappa')^{-1} f_U|, largest singular value.
 
     A constant error e of kappa(P_hat(1)) moves the equilibrium to f(X, kappa(X) + e) = 0, whatever D, D_hat, gamma, b:
     the radius that such an error leaves, to first order in e, if the loop settles. One that oscillates may leave a
     larger one, and with a law for D_hat a constant one moves D_hat too (docs/guard.md).
     Where the plant tracks, a constant e moves the trajectory by G(t) e, with G' = (f_X + f_U kappa') G + f_U along the
-    reference and G(0) = 0: the largest |G| over the last tenth of t_end seconds. Where nothing changes in time, both
-    are the same.
+    reference and G(0) = 0: the largest |G| over the last tenth of t_end, by default `settled`. Where nothing changes in
+    time, both are the same.
     """
     if plant.rests:
         closed, f_U = plant.linearised()
         return float(np.linalg.norm(np.linalg.solve(closed, f_U), 2))
-    return max(float(np.linalg.norm(G, 2)) for G in _responses(plant, t_end)[round((1 - TAIL) * CELLS) :])
+    responses = _responses(plant, t_end or settled(plant))
+    return max(float(np.linalg.norm(G, 2)) for G in responses[round((1 - TAIL) * CELLS) :])
 
 
 def _responses(plant: Plant, t_end: float) -> list[np.ndarray]:

@@ -97,7 +97,7 @@ SETTINGS = [
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
     Signal("gate", None, 0.0),  # how far a sample may be from what is expected, as a share of that
     Signal("oldest", None, 0.0),  # how late a sample may come, in control steps
-    Signal("after", None, 0.0),  # how long a watchdog waits for one, in seconds
+    Signal("after", None, 0.0),  # how long a watchdog waits for one
     *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
     Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
     Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
@@ -107,7 +107,7 @@ SETTINGS = [
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
     Signal("output_count", None, 0, "int"),  # numbers of a sample
     Signal("end_count", None, 0, "int"),  # predicted states in which limits are kept
-    Signal("uncertain", None, 0.0),  # how wrong D_hat may be, in seconds
+    Signal("uncertain", None, 0.0),  # how wrong D_hat may be
     *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
     Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
     Signal("bounds", ()),  # (2,) of D_hat
@@ -150,7 +150,7 @@ EVENTS = [  # one loop on a real clock; times since its start, in control steps
     Signal("unsaid", (), 0, "int64"),  # 1 where the last command was lost
     Signal("refusals", (), 0, "int64"),  # calls that gave no U to send
     Signal("X_hat", ("row", "n")),
-    Signal("age_then", ("row",)),  # the age of the last used sample, in seconds
+    Signal("age_then", ("row",)),  # the age of the last used sample
     Signal("handed_over", ("row",), 0, "bool"),  # whether the watchdog has U
     Signal("sample_count", None, 0, "int64"),
     Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost

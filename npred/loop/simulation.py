@@ -106,7 +106,7 @@ class Simulation:
         return Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
 
     def reach(self, c: slice) -> tuple[float, float]:
-        """How far back the commands of some loops may be read, in seconds: before t = 0, and at any time."""
+        """How far back the commands of some loops may be read: before t = 0, and at any time."""
         loop, spans = self.loop, [self.loop.D[c].max(), self.delays[:, c].max(initial=0.0)]
         if loop.reads_commands or self.law.memory > 1 or loop.plant.declares_delay:
             spans += [loop.D_hat[c].max(), self.law.bounds[1] if loop.adaptation else 0.0]

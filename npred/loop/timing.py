@@ -72,7 +72,7 @@ class Schedule(NamedTuple):
 
 
 def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, loop: int) -> Schedule:
-    """The schedule of `count` control steps of dt seconds in the loop of that number.
+    """The schedule of `count` control steps of dt in the loop of that number.
 
     Sensors run on another clock: the gaps between two are period (1 + jitter r), as npred.Measurement has them, not
     rounded to control steps. Without a period a call takes one. A sample arrives `delay` after it was taken or, with

@@ -129,7 +129,7 @@ class Trajectories:
         return trajectory_views.plot(self, D, ax, label)
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t in seconds.
+        """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t.
 
         A batch's index has the loop's number along each axis before t. A name that stands twice gets its letter in
         front, as `X.h` and `U.h`. Raises MissingError where pandas is not installed.
@@ -162,7 +162,7 @@ def of_record(
     r: Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
     predictor: Predictor | None, ends: tuple[float, float] | None, clock: OnAClock | None = None,
 ) -> Trajectories:  # fmt: skip
-    """The loops of a batch of that shape, of so many control steps; `step` seconds lie between two kept states.
+    """The loops of a batch of that shape, of so many control steps; `step` lies between two kept states.
 
     `clock` has the loops first.
     """

@@ -17,13 +17,13 @@ from npred.prediction.methods import RK4
 
 @dataclass(frozen=True)
 class Watchdog:
-    """U is what `then` says where the last used sample is older than `after` seconds.
+    """U is what `then` says where the last used sample is older than `after`.
 
     Until then, and as long as the watchdog has U, the state is predicted by the model.
 
     Parameters
     ----------
-    after : float, s
+    after : float, in the plant's unit of time
         Age of the last used sample from which on it acts.
     then : "hold", "zero", numbers (m,) or function (x, t, p, M), default "hold"
         U, the last one, zeros, these numbers, or a law of the predicted state, as kappa is one; a law is compiled
@@ -43,7 +43,7 @@ class Watchdog:
 
     def __post_init__(self) -> None:
         if not 0 < array_checks.number("watchdog: after", self.after) < math.inf:
-            raise ConfigError(f"watchdog: expected a time above 0 as after, got {self.after!r}; give seconds")
+            raise ConfigError(f"watchdog: expected a time above 0 as after, got {self.after!r}; give a time")
         if isinstance(self.then, str) and self.then not in ("hold", "zero"):
             kind = "numbers, a law or one of"
             raise ConfigError(unlisted("watchdog: then", self.then, ("hold", "zero"), kind))

@@ -196,7 +196,7 @@ class Program:
     nx: int
     rows: int = 1
     stride: int = 1
-    period: float | None = None  # period of the plant's time, in seconds, where the network sees it
+    period: float | None = None  # period of the plant's time, where the network sees it
     twice: bool = False
     precision: type[np.floating] = np.float32  # type of the constants and buffers
     series: Series | None = None

@@ -16,7 +16,7 @@ from npred.formulas.tape import Functions, names
 from npred.formulas.trace import Trace, python
 from npred.plants import declaration as declared
 
-REST = 1e-9  # residual relative to max(1, |X|), below which X rests
+REST = 1e-9  # residual relative to the derivative of f times max(1, |X|), below which X rests
 
 
 class Plant(InNotebook):
@@ -29,7 +29,7 @@ class Plant(InNotebook):
     and damping of M q'' = force - damping q', for the method semi_implicit), what figures write: `labels` and `units`
     (by state or input), `time_unit` ("s" by default) and `figure` (that of an article which the evaluated loop is),
     and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and `period`, the
-    seconds after which they repeat. M provides the functions: sin, exp, where … A law `kappa` that is passed takes the
+    time after which they repeat. M provides the functions: sin, exp, where … A law `kappa` that is passed takes the
     place of the declaration's.
 
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
@@ -135,7 +135,7 @@ class Plant(InNotebook):
         return self._on("V", array_math.taken(X), None, array_math.taken(t))[0]
 
     def delay(self, X: Array, t: Value = 0.0) -> Array:
-        """delay(X, t) in seconds, X (..., n) to (...), of a plant that declares it. Raises ConfigError for another."""
+        """delay(X, t), X (..., n) to (...), of a plant that declares it. Raises ConfigError for another."""
         return self._stacked("delay", X, None, t)[..., 0]
 
     def output(self, X: Array, t: Value = 0.0) -> Array:
@@ -213,7 +213,7 @@ class Plant(InNotebook):
                 break
             X = X - scale * step
             g, J = self._at_rest(X)
-        if not np.linalg.norm(g) <= REST * max(1.0, float(np.linalg.norm(X))):
+        if not np.linalg.norm(g) <= REST * np.linalg.norm(J[np.isfinite(J)]) * max(1.0, float(np.linalg.norm(X))):
             left = source_lines.values([f"{name}'" for name in self.states], g)
             near = f"no equilibrium near guess = {self.guess.tolist()}: {left} is left"
             cure = "let kappa hold a point where f vanishes, or give a `guess` closer to one"
@@ -256,7 +256,7 @@ class Plant(InNotebook):
         pull = [a - c * X[:, k] + np.zeros(8) for a, c, k in zip(force, damping, at.rates, strict=True)]
         expected = np.linalg.solve(inertia, np.array(pull).T[..., None])[..., 0]
         difference = np.abs(self.f(X, u)[:, at.rates] - expected).max()
-        if not difference <= 1e-6 * (1.0 + np.abs(expected).max()):
+        if not difference <= 1e-6 * np.abs(expected).max():
             got = f"got a difference of {difference:.3g}; make force and damping those of f"
             raise ConfigError(f"{self.location('mechanics')} expected the accelerations of f, {got}")
 

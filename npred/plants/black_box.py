@@ -30,7 +30,7 @@ class BlackBox(Plant):
     (B,) for X (B, n), u (B, m), t a number or (B,), and p with the parameters' names; `reference(t, p)` takes t (B,)
     and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
     along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
-    rollout(X, u, D_hat, t, p) -> (B, nx, n), a simulator's own steps from X over u (B, nx, m) and D_hat (B,) seconds;
+    rollout(X, u, D_hat, t, p) -> (B, nx, n), a simulator's own steps from X over u (B, nx, m) and D_hat (B,);
     and `files`, paths whose content is part of the identity, as is that of the plant's file. All else is as for
     any Plant.
     Where a function overflows or leaves a domain by an exception, as math.pow does, that row is NaN.
@@ -213,6 +213,6 @@ def units(X: np.ndarray) -> np.ndarray:
 
 
 def _rate(function: Map, t: Value) -> np.ndarray:
-    """Central difference of the function of the time t, by the seconds between the two times as they are rounded."""
+    """Central difference of the function of the time t, by the time between the two as they are rounded."""
     later, earlier = np.asarray(t) + STEP, np.asarray(t) - STEP
     return (function(later) - function(earlier)) / (later - earlier)[..., None]

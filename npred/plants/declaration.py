@@ -80,10 +80,10 @@ Name = Annotated[str, STRICT, IS_NAME]
 Names = Annotated[tuple[Name, ...], LIST, DIFFERENT]
 Number = Annotated[float, expected("a number", "write one")]
 Finite = Annotated[float, expected("a finite number", "write one", math.isfinite)]
-Seconds = Annotated[Finite, expected("seconds above 0", "write how many", lambda seconds: seconds > 0)]
-Delay = Annotated[Finite, expected("seconds, 0 or more", "write how many", lambda seconds: seconds >= 0)]
+Time = Annotated[Finite, expected("a time above 0", "write how long", lambda time: time > 0)]
+Delay = Annotated[Finite, expected("a time, 0 or more", "write how long", lambda time: time >= 0)]
 Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", "write a tuple")]
-Delays = Annotated[tuple[Delay, ...], LIST, expected("the seconds of each input", "write a tuple")]
+Delays = Annotated[tuple[Delay, ...], LIST, expected("the time of each input", "write a tuple")]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
 Bounds = Annotated[
     tuple[Range, ...], BeforeValidator(_pairs), expected("a pair (low, high) per input", "write ((0.0, 1.0),), say")
@@ -122,7 +122,7 @@ class Declaration(BaseModel, frozen=True):
     input_bounds: Bounds | None = None
     state_bounds: Ranges = {}
     delays: Delays | None = None
-    period: Seconds | None = None
+    period: Time | None = None
     labels: Texts = {}
     units: Texts = {}
     time_unit: Text = "s"

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from npred.base import array_checks, randomness, source_lines
 from npred.base.errors import ConfigError, unlisted
 from npred.plants.base import Plant
+from npred.plants.speed import long
 
 EQUILIBRIUM, LAW = "equilibrium", "law"  # the inputs before t = 0 that have a name
 ROUNDING = 1e-9  # share of an input: this close to a bound it is on it
 SPARE = 10.0  # times the largest |kappa| on the box, which loops leave in their transients
-DRAWN, SPAN, MOMENTS = 1024, 100.0, 16  # states of the box, seconds of a law that depends on time, and times in them
+DRAWN, MOMENTS = 1024, 16  # states of the box, and times of a law that depends on time
 
 
 def bounds(plant: Plant, bounds: ArrayLike | None) -> np.ndarray:
@@ -43,7 +44,7 @@ def widest(plant: Plant, limits: np.ndarray) -> np.ndarray:
         return limits
     ends = np.array([plant.box[name] for name in plant.states], dtype=float)
     X = randomness.generator(0, "largest kappa").uniform(ends[:, 0], ends[:, 1], (DRAWN, plant.n))
-    moments = [0.0] if plant.rests else np.linspace(0.0, plant.period or SPAN, MOMENTS)
+    moments = [0.0] if plant.rests else np.linspace(0.0, long(plant), MOMENTS)
     with np.errstate(all="ignore"):
         U = np.abs([plant.kappa(X, t) for t in moments])
     largest = np.where(np.isfinite(U), U, 0.0).max(axis=(0, 1))
@@ -57,10 +58,10 @@ Start: TypeAlias = np.ndarray | str | Callable[[float], ArrayLike]  # numbers (m
 
 @dataclass(frozen=True)
 class Past:
-    """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,) seconds.
+    """The input of each loop before t = 0: constant, `held` (B, m), or a course over the last `span` (B,).
 
     A course is a table (k, m), its rows held for span / k each, the oldest first and before all of them too, or a
-    function of t < 0 in seconds.
+    function of t < 0.
     """
 
     held: np.ndarray

@@ -23,7 +23,7 @@ from npred.cli import app
 from npred.diagnosis import Case
 from npred.lab.scheduler.configuration import identity
 from npred.lab.stages.tuning import LqrWeights
-from npred.laws.design import MOMENTS, SPAN, Design
+from npred.laws.design import Design
 from npred.laws.regulator import riccati
 from npred.plants import Plant
 from npred.prediction.methods import RK4
@@ -150,9 +150,9 @@ def test_feedback_linearisation_follows_a_reference():
 def test_the_regulator_follows_a_reference_with_one_equation_of_the_error(name: str):
     """The derivative of f with kappa by differences along the reference is A - B K of SciPy, A and B the means."""
     plant = npred.plant(name, kappa="lqr")
-    times = np.linspace(0, SPAN, MOMENTS, endpoint=False)
-    A, B = (part.mean(axis=0) for part in plant.jacobians(plant.target(times), plant.u_target(times), times))
     design = Design(plant, "lqr")
+    times = design.moments
+    A, B = (part.mean(axis=0) for part in plant.jacobians(plant.target(times), plant.u_target(times), times))
     Q, R = np.diag(1 / design.widths**2), np.diag(1 / design.sizes**2)
     closed = A - B @ np.linalg.solve(R, B.T @ solve_continuous_are(A, B, Q, R))
     for t in (0.0, 2.7, 31.0):

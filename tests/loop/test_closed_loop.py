@@ -154,10 +154,12 @@ def test_batches_of_any_shape_equal_single_loops():
     """More loops than a chunk, other delays in each lane; a lane does not see its neighbours."""
     random = np.random.default_rng(1)
     X0, D = random.uniform([0.01, 25], [0.05, 35], (7, 11, 2)), random.uniform(0.3, 1.5, (7, 11))
-    loops = simulate(PLANT, Heun(PLANT, 41), D=D, D_hat=0.9, X0=X0, t_end=3.0, adaptation=LAW, every=10)
+    loops = simulate(PLANT, Heun(PLANT, 41), D=D, D_hat=0.9, X0=X0, t_end=3.0, dt=0.005, adaptation=LAW, every=10)
     assert loops.X.shape == (7, 11, 61, 2) and loops.t.shape == (61,) and loops.D_hat.shape == (7, 11, 61)
     for i in [(0, 0), (5, 8), (6, 10)]:
-        one = simulate(PLANT, Heun(PLANT, 41), D=D[i], D_hat=0.9, X0=X0[i], t_end=3.0, adaptation=LAW, every=10)
+        one = simulate(
+            PLANT, Heun(PLANT, 41), D=D[i], D_hat=0.9, X0=X0[i], t_end=3.0, dt=0.005, adaptation=LAW, every=10
+        )
         np.testing.assert_allclose(loops.X[i], one.X, rtol=1e-9)
         np.testing.assert_allclose(loops.U[i], one.U, rtol=1e-9, atol=1e-12)
 

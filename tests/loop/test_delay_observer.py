@@ -98,7 +98,7 @@ def test_such_a_jump_is_found_in_seconds_in_a_real_loop_too(reality):
         plant, npred.predictor("rk4", plant, nx=21), D=lambda t: 0.5 if t < 30 else 0.8, D_hat=[0.2, 1.0], X0=[0.1],
         t_end=36.0, dt=0.01, adaptation=npred.DelayObserver(bounds=(0.05, 2.0)), actuator="history", **reality,
     )  # fmt: skip
-    assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.02 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.05
+    assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.025 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.05
 
 
 @pytest.mark.parametrize(
@@ -140,6 +140,7 @@ class CalledFollower:
         return (slope - p.a * X[:, 0] - p.c * (X[:, 0] - r))[:, None]
 
     V = lambda X, t, p: (X[:, 0] - p.A * np.sin(p.w * t)) ** 2
+    reference = lambda t, p: (p.A * np.sin(p.w * t))[:, None]
 
 
 SPARSE = Measurement(noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2)  # each loop has samples of its own
@@ -232,7 +233,7 @@ def test_a_loop_that_is_lost_stops_no_other_estimate():
 @pytest.mark.parametrize("omega", [8.0, 0.75, 0.2, 0.0])
 def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     """Of x and d, for a gap of T seconds, where those of s² + L s + L omega = 0 are in continuous time."""
-    law = npred.DelayObserver(L=3.0, omega=omega, bounds=(0.1, 2.0))
+    law = npred.DelayObserver(L=3.0, omega=omega, memory=5.0, window=1.0, bounds=(0.1, 2.0))
     (_, settings, size), steps, dt, gain = law.observer(SCALAR, 0.01), 30, 0.01, np.empty((4, 2))
     memory = np.ones((size, 2))
     memory[-1] = steps - 1.0  # the gap
@@ -308,7 +309,7 @@ def test_a_loop_at_rest_keeps_its_estimate():
         disturbance=lambda t: [float(2 < t < 2.5)],
         **settings,
     )
-    assert (run.D_hat[:200] == 0.9).all() and abs(run.D_hat[-1] - 0.5) < 0.05
+    assert (run.D_hat[:200] == 0.9).all() and abs(run.D_hat[-1] - 0.5) < 0.1
 
 
 def test_a_disturbance_at_rest_replaces_no_transient():

@@ -131,8 +131,8 @@ def test_of_the_scalar_plant_it_is_the_integral_in_closed_form(D):
     assert exact / 2.6 < suited_gamma(SCALAR, D) <= 1.1 * exact  # rounded down to 1, 2, 5; the box's starts are inside
 
 
-def test_it_is_one_two_or_five_times_a_power_of_ten():
-    found = {f"{suited_gamma(SCALAR, D):.0e}"[0] for D in (0.1, 0.3, 1.0, 3.0)}
+def test_it_is_one_two_or_five_times_a_power_of_ten_and_the_delay():
+    found = {f"{suited_gamma(SCALAR, D) / D:.0e}"[0] for D in (0.1, 0.3, 1.0, 3.0)}
     assert found <= {"1", "2", "5"}
 
 
@@ -173,7 +173,7 @@ def test_a_controller_takes_the_delay_from_its_first_estimate_or_asks():
     heun = npred.predictor("heun", SCALAR, 21)
     law = npred.controller(SCALAR, heun, npred.DelayAdaptation(), 0.01, D_hat=0.5).adaptation
     assert law is not None and law.bounds == (0.05, 2.0) and law.gamma == suited_gamma(SCALAR, 0.5)
-    with pytest.raises(ConfigError, match=r"D_hat: expected a first estimate in seconds, .* got none; give D_hat"):
+    with pytest.raises(ConfigError, match=r"D_hat: expected a first estimate, .* got none; give D_hat"):
         npred.controller(SCALAR, heun, npred.DelayAdaptation(gamma=1.0), 0.01)
 
 

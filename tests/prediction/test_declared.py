@@ -128,7 +128,7 @@ def test_the_first_command_from_the_published_start():
 
 
 def test_commands_that_would_overtake_each_other_mark_the_loop_and_end_it():
-    loops = npred.simulate(UNICYCLE, RK4(UNICYCLE, 101), X0=[[1.0, 1.0, 1.0], [0.3, 0.3, 0.3]], t_end=6.0)
+    loops = npred.simulate(UNICYCLE, RK4(UNICYCLE, 101), X0=[[1.0, 1.0, 1.0], [0.3, 0.3, 0.3]], t_end=6.0, dt=0.005)
     k = loops.infeasible[0]
     assert 300 < k < 700 and loops.infeasible[1] == -1
     assert loops.margin[0] <= 0 and np.isnan(loops.margin[1])

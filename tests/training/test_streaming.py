@@ -257,8 +257,8 @@ def test_broken_files_are_told(tmp_path):
         ("X", (2, 0), np.inf, "X: expected finite numbers, got inf in row 2"),
         ("u", (5, 0, 0), -np.inf, "u: expected finite numbers, got -inf in row 5"),
         ("D_hat", 1, np.nan, "D_hat: expected finite numbers, got nan in row 1"),
-        ("D_hat", 4, -0.1, "D_hat: expected seconds from 0 on, got -0.1 in row 4"),
-        ("D", 0, -1.0, "D: expected seconds from 0 on, got -1 in row 0"),
+        ("D_hat", 4, -0.1, "D_hat: expected times from 0 on, got -0.1 in row 4"),
+        ("D", 0, -1.0, "D: expected times from 0 on, got -1 in row 0"),
         ("test", 3, 2, "test: expected 1 where a row is held out, else 0, got 2 in row 3"),
     ],
 )

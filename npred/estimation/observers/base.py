@@ -15,6 +15,7 @@ from npred.formulas.trace import Trace, python
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants.base import Plant, require
+from npred.plants.speed import operating_point, rates
 from npred.prediction.delays import problem
 
 POINTS = 64  # places in the box, at which the sizes of f, kappa and the outputs are looked at
@@ -26,7 +27,7 @@ WEAK = 1e-2  # of the largest: below it a singular value along a reference tells
 
 class Sizes(NamedTuple):
     """Usual sizes of a plant: states x and their half ranges dx (n,), sizes of f (n,), half ranges of the inputs du
-    (m,) and of the outputs dy (l,), and the rate (1/s) of the loop of kappa without delay.
+    (m,) and of the outputs dy (l,), and the usual rate of the loop of kappa without delay (npred.plants.speed).
     """
 
     x: np.ndarray
@@ -125,18 +126,14 @@ class Observer(ABC):
     @cached_property
     def sizes(self) -> Sizes:
         """The usual sizes of the plant, by points of its box: all at the input that kappa gives at t = 0."""
-        plant, (x, u), (X, ends) = self.plant, self.operating_point, self._box
+        plant, (X, ends) = self.plant, self._box
         with np.errstate(all="ignore"):
             U = plant.kappa(X)
             f, Y = plant.f(X, U), self.measured(X)
         half = [0.5 * np.ptp(a, axis=0) for a in (_finite(U), _finite(Y))]
         parts = [(ends[1] - ends[0]) / 2, np.sqrt((_finite(f) ** 2).mean(axis=0)), *half]
-        f_X, f_U = plant.jacobians(x, u)
-        rates = np.abs(np.linalg.eigvals(f_X + f_U @ plant.kappa_jacobian(x)))
-        rates = rates[rates > TINY * rates.max(initial=0.0)]
-        rate = float(np.exp(np.log(rates).mean())) if rates.size else 1.0
         dx, rms, du, dy = (np.where(a > 0, a, 1.0) for a in parts)
-        return Sizes(ends.mean(axis=0), dx, rms, du, dy, rate)
+        return Sizes(ends.mean(axis=0), dx, rms, du, dy, rates(plant).usual)
 
     def linearised(self, x: np.ndarray, u: np.ndarray, t: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """A and C of z' = A z, y = C z near a point x (n,), u (m,), z the state and the offsets, where observed."""
@@ -154,7 +151,7 @@ class Observer(ABC):
         plant = self.plant
         if plant.rests:
             return self._rank_over_time() if self._timed else self.rank(*self.operating_point)
-        moments = np.linspace(0.0, plant.period or float(POINTS), POINTS, endpoint=False).tolist()
+        moments = np.linspace(0.0, plant.period or POINTS / self.sizes.rate, POINTS, endpoint=False).tolist()
         points = [(x, plant.kappa(x, t), t) for x, t in zip(self._box[0], moments, strict=True)]
         rank = max(self.rank(*point) for point in [(*self.operating_point, 0.0), *points])
         return max(rank, self._rank_over_time()) if plant.tracks and rank < self.size else rank
@@ -244,11 +241,8 @@ class Observer(ABC):
 
     @cached_property
     def operating_point(self) -> tuple[np.ndarray, np.ndarray]:
-        """X and U where the plant works at t = 0: its equilibrium, else its reference, else its guess."""
-        plant = self.plant
-        if plant.rests or plant.tracks:
-            return plant.target(0.0), plant.u_target(0.0)
-        return plant.guess, plant.kappa(plant.guess)
+        """X and U of npred.plants.speed.operating_point."""
+        return operating_point(self.plant)
 
     @cached_property
     def _box(self) -> tuple[np.ndarray, np.ndarray]:

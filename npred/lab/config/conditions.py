@@ -31,7 +31,7 @@ EVERY = 10  # control steps between two kept states, where nothing asks for more
 
 @dataclass(frozen=True)
 class Condition:
-    """Loops of a table from X0 (B, n) over t_end seconds, of delay D from the estimate D_hat.
+    """Loops of a table from X0 (B, n) over t_end, of delay D from the estimate D_hat.
 
     D and D_hat are a number or (B,), D also a function of t; they mean nothing where the plant declares its delay.
     `seed` is that of the sensors' noise, `first` the number of the first loop, where they are part of a larger batch;
@@ -191,7 +191,7 @@ def under(plant: Plant, pipeline: Pipeline, scenario: Scenario) -> Condition:
 
 
 def true_delay(config: Evaluate, scenario: Scenario) -> Callable[[float], float] | float:
-    """The true delay in seconds: D, or a function of t."""
+    """The true delay: D, or a function of t."""
     D, drift, jump = config.D, scenario.drift, scenario.jump
     if drift:
         return lambda t: D + drift.amplitude * math.sin(2 * math.pi * t / drift.period)

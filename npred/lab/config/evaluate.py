@@ -28,15 +28,15 @@ CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] b
 class Drift(Section):
     """The true delay D + amplitude sin(2π t / period)."""
 
-    amplitude: Number  #: in seconds
-    period: Positive  #: in seconds
+    amplitude: Number  #: in the plant's unit of time
+    period: Positive  #: in the plant's unit of time
 
 
 class Jump(Section):
     """The true delay is D until the time `at`, then another one."""
 
     to: Delay  #: the new delay
-    at: Delay  #: in seconds
+    at: Delay  #: in the plant's unit of time
 
 
 class Scenario(Section):
@@ -77,7 +77,7 @@ class Scenario(Section):
         return [key for key in ("adaptation", "D_hat0", "drift", "jump") if getattr(self, key) is not None]
 
     def delays(self, D: float) -> Range:
-        """The smallest and the largest true delay where it is D in [evaluate], in seconds."""
+        """The smallest and the largest true delay where it is D in [evaluate]."""
         reach = abs(self.drift.amplitude) if self.drift else 0.0
         ends = (D, self.jump.to) if self.jump else (D - reach, D + reach)
         return min(ends), max(ends)
@@ -98,14 +98,14 @@ class Evaluate(LoopTable):
     mapped: ClassVar = ("map_D", "map_D_hat0")
     lasting: ClassVar = ("t_end", "case_t_end")
 
-    t_end: Positive = 40.0  #: length of the loop of Fig. 1
+    t_end: Positive = 40.0  #: length of the loop of Fig. 1; times D
     nx: Nodes = 51  #: nodes of the predictors and of u; networks take any number
     D: Positive = 1.0  #: true delay
     X0: list[float] = []  #: start of Fig. 1, one number per state; required
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
     case_states: Count = 10  #: random initial states of the cases …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
-    case_t_end: Positive = 40.0  #: length of these loops
+    case_t_end: Positive = 40.0  #: length of these loops; times D
     map_D: list[Positive] = []  #: true delays of the convergence map …
     map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
     #: bounds of U, a pair per input, of a second loop of Fig. 1; by default there is none
@@ -139,7 +139,7 @@ class Evaluate(LoopTable):
         for k, scenario in enumerate(self.scenarios):
             span = scenario.delays(self.D)
             if span[0] < 0:
-                raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0 s, got {span[0]:g}; shrink it")
+                raise ValueError(f"scenarios[{k}].drift: expected a delay of at least 0, got {span[0]:g}; shrink it")
             try:
                 table = self.under(scenario)
                 table.reached("delay", span)

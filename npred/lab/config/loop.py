@@ -20,6 +20,7 @@ from npred.lab.config.section import (
     Section,
     built,
 )
+from npred.loop import control_step
 from npred.loop.measurement import Sensors
 from npred.loop.safety import SafetyFilter
 from npred.loop.timing import ControlClock
@@ -29,7 +30,6 @@ STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an e
 Clock = Annotated[ControlClock, built(ControlClock)]
 Limits = Annotated[SafetyFilter, built(SafetyFilter)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
-STEPS_PER_DELAY = 10  # control steps in a delay, at least, where dt is not given
 
 
 class StateObserver(Section):
@@ -44,7 +44,7 @@ class Disturbance(Section):
     """amplitude sin(omega t), added to each input of the plant."""
 
     amplitude: Number = 0.0  #: in units of the input
-    omega: Positive = 1.0  #: in rad/s
+    omega: Positive = 1.0  #: in rad per unit of time; by default 1 / D
 
 
 class LoopTable(Section):
@@ -53,18 +53,18 @@ class LoopTable(Section):
     With `adaptation = "frozen"` D_hat stays at its first value; start it at D for a known delay. For a plant that
     declares its delay, leave out all keys about delays, estimates and laws.
 
-    The defaults are for D = 1. For another D, estimates, bounds and delays without a value are multiplied by D (or by
-    the middle of its range), dt is at most D / 10, and loops are longer if D > 1. Bounds without a value contain all
-    delays and estimates.
+    Times are in the plant's unit. The defaults are for D = 1. For another D, estimates, bounds, delays, t_end without a
+    value are multiplied by D (or by the middle of its range), and dt is that of npred.loop.control_step.usual for the
+    middle too. Bounds without a value contain all delays and estimates.
     """
 
     follows: ClassVar[tuple[str, ...]] = ()  # keys that are multiples of D
     mapped: ClassVar[tuple[str, ...]] = ()  # further delays and estimates that the bounds hold
     lasting: ClassVar[tuple[str, ...]] = ("t_end",)
 
-    dt: Positive = 0.005  #: control step, in seconds
+    dt: Positive = 0.005  #: control step; by default about D / 300
     nx: Nodes = 101  #: nodes of the predictor and of u, both ends of [0, 1]; dx = 0.01 is 101
-    t_end: Positive = 40.0  #: length of a loop, in seconds
+    t_end: Positive = 40.0  #: length of a loop; times D
     #: a method, as rk4 or rosenbrock, one of a package, or `file.py:Class`
     predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
@@ -99,9 +99,11 @@ class LoopTable(Section):
         D, fields, bounds = (min(ends) + max(ends)) / 2, cls.model_fields, _ends(data.get("bounds", []))
         low, high = bounds if len(bounds) == 2 else (0.0, math.inf)
         filled = {key: _times(D, fields[key].default, low, high) for key in cls.follows}
-        filled |= {key: max(1.0, D) * fields[key].default for key in cls.lasting}
-        filled |= {"dt": min(fields["dt"].default, min(ends) / STEPS_PER_DELAY)}
-        data = filled | data
+        filled |= {key: D * fields[key].default for key in cls.lasting}
+        filled |= {"dt": min(control_step.usual(D), (filled | data)["t_end"])}
+        data = _with_omega(filled | data, D)
+        if isinstance(data.get("scenarios"), list):
+            data["scenarios"] = [_with_omega(scenario, D) for scenario in data["scenarios"]]
         if "bounds" not in data and data.get("adaptation") != FROZEN:
             delays = [end for key in ("D", *cls.follows, *cls.mapped) for end in _ends(data.get(key, []))]
             low, high = (D * bound for bound in fields["bounds"].default)
@@ -116,7 +118,7 @@ class LoopTable(Section):
 
     @property
     def longest(self) -> float:
-        """The longest true delay, in seconds, jumps and drifts of scenarios aside."""
+        """The longest true delay, jumps and drifts of scenarios aside."""
         return max(_ends(getattr(self, "D", 1.0)))
 
     @property
@@ -131,12 +133,12 @@ class LoopTable(Section):
             if value and self.actuator != "history":
                 raise ValueError(f'{key}: expected actuator = "history", got {self.actuator!r}; give it, or no {key}')
 
-    def lasts(self, key: str, seconds: float) -> None:
+    def lasts(self, key: str, time: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""
-        if self.dt > seconds:
-            raise ValueError(f"dt: expected at most {key} = {seconds:g}, got {self.dt:g}; shorten the step")
-        if seconds > LONGEST_RUN * self.dt:
-            steps = seconds / self.dt
+        if self.dt > time:
+            raise ValueError(f"dt: expected at most {key} = {time:g}, got {self.dt:g}; shorten the step")
+        if time > LONGEST_RUN * self.dt:
+            steps = time / self.dt
             room = f"{steps:.3g} steps of {self.dt:g}, whose record takes {bytes_text(8 * STEP * steps)} for each loop"
             raise ValueError(f"{key}: expected at most {LONGEST_RUN} steps, got {room}; shorten {key} or lengthen dt")
 
@@ -146,6 +148,12 @@ class LoopTable(Section):
         if self.adaptation != FROZEN and (low < bounds[0] or high > bounds[1]):
             came = [low, high] if low < high else f"{low:g}"
             raise ValueError(f"{key}: expected within bounds = {list(bounds)}, got {came}; widen bounds or move {key}")
+
+
+def _with_omega(table: Any, D: float) -> Any:
+    """A table whose disturbance, where one is written, has an omega."""
+    wave = table.get("disturbance") if isinstance(table, dict) else None
+    return table | {"disturbance": {"omega": 1 / D} | wave} if isinstance(wave, dict) else table
 
 
 def _times(D: float, value: Any, low: float, high: float) -> Any:

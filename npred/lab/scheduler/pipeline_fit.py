@@ -13,18 +13,17 @@ from npred.base.errors import ConfigError
 from npred.base.registry import NETWORKS
 from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
-from npred.diagnosis.case import SPAN
 from npred.diagnosis.equilibrium import DECLARE, SLIP
 from npred.diagnosis.loops import times
-from npred.estimation import delay_law
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
 from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
 from npred.lab.config.conditions import Condition
-from npred.loop import clocked
+from npred.loop import clocked, control_step
 from npred.loop.simulation import LANES
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant, inputs
+from npred.plants.speed import long
 from npred.prediction import methods as predictors
 from npred.prediction.delays import problem_of
 
@@ -51,19 +50,25 @@ class PipelineFit:
         return {stage: getattr(self.pipeline, stage) for stage in ("generate", "evaluate") if stage in self.stages}
 
     @property
+    def steps(self) -> list[tuple[str, float, Any, bool]]:
+        """The key, the control step and the delay of each loop over a constant delay, and whether that is estimated."""
+        loops = [] if self.plant.declares_delay else [item for item in self.loops.items() if item[1].simulated]
+        return [(f"{stage}.dt", loop.dt, loop.D, loop.adaptation != FROZEN) for stage, loop in loops]  # type: ignore[attr-defined]
+
+    @property
     def scenarios(self) -> list[Scenario]:
         return self.pipeline.evaluate.scenarios if "evaluate" in self.stages else []
 
     @property
     def longest_delay(self) -> float:
-        """The longest delay or first estimate of one that the loops have, in seconds."""
+        """The longest delay or first estimate of one that the loops have."""
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
         spans = [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
         if list(self.loops) != ["evaluate"]:
             spans += [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
             spans += [generate.explore_D] if generate.explore else []
             spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
-        return max(seconds for span in spans for seconds in span)
+        return max(time for span in spans for time in span)
 
     def case(self, delay: float | None = None, nodes: int | None = None, u0: Any = None) -> Case:
         """The case of the plant for the questions of npred.diagnosis, by default with the pipeline's settings."""
@@ -118,9 +123,16 @@ def check(
             _require(fit, case)
             what = f"{pipeline.name} fits its plant" + (", by [evaluate] alone" if alone else "")
             answers.append(Answer("pipeline", "yes", what))
+            answers += [_step(plant, *step[:3]) for step in fit.steps]
         except ConfigError as refusal:
             answers.append(Answer("pipeline", "no", str(refusal)))
     return answers
+
+
+def _step(plant: Plant, name: str, dt: float, D: Any) -> Answer:
+    doubt, least = control_step.doubt(name, dt, D, plant.time_unit), float(np.min(D))
+    steps = f"{plant.time_text(dt)}, {least / dt:.3g} steps in a delay of {plant.time_text(least)}"
+    return Answer(name, "warn", doubt) if doubt else Answer(name, "yes", steps)
 
 
 def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
@@ -130,10 +142,12 @@ def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
 
 
 def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
-    """The questions that take a simulation, asked before a run: the doubts about the adaptive loop, in words."""
-    case = PipelineFit(plant, pipeline).case()
+    """Doubts before a run, in words: about control steps, and about the adaptive loop, which takes a simulation."""
+    fit = PipelineFit(plant, pipeline)
+    case, long = fit.case(), [control_step.doubt(*step[:3], plant.time_unit) for step in fit.steps]
     answers = [case.ask(question) for question in diagnosis.QUESTIONS if question.name in SIMULATED]
-    return [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
+    lost = [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
+    return [*filter(None, long), *lost]
 
 
 def _require(fit: PipelineFit, case: Case) -> None:
@@ -152,9 +166,8 @@ def _require(fit: PipelineFit, case: Case) -> None:
     for stage, loop in fit.loops.items():
         for each in filter(None, (loop, getattr(loop, "bounded", None))):  # a range per input, an input before t = 0
             inputs.configured(plant, each.u0, each.input_bounds, stage)
-    for stage, loop in fit.loops.items():
-        if loop.adaptation != FROZEN and not plant.declares_delay:
-            delay_law.resolved(f"{stage}.dt", loop.dt, np.array(loop.D))  # type: ignore[attr-defined]
+    for name, dt, D, adapts in fit.steps:
+        control_step.check(name, dt, D if adapts else 0.0)
     clock(fit)
     if case.takes_V and not plant.declares_V:
         raise ConfigError(f"{undeclared(plant)}; {DECLARE}")
@@ -249,7 +262,7 @@ def clock(fit: PipelineFit) -> None:
     """
     plant = fit.plant
     if plant.clocked and not plant.phased:
-        seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=SPAN)
+        seconds = max([getattr(loop, "case_t_end", loop.t_end) for loop in fit.loops.values()], default=long(plant))
         steps = np.diff(plant.delay(np.zeros((TIMES, plant.n)), np.linspace(0.0, seconds, TIMES)))
         if not ((steps > 0).all() or (steps < 0).all()):
             span = plant.time_text(seconds)
@@ -259,7 +272,7 @@ def clock(fit: PipelineFit) -> None:
         return
     X, t = np.eye(plant.n), np.linspace(0.0, plant.period, plant.n)
     u, u_next = plant.kappa(X, t), plant.kappa(X, t + plant.period)
-    gaps = u_next - u, plant.f(X, u, t + plant.period) - plant.f(X, u, t)
+    gaps = u_next - u, (plant.f(X, u, t + plant.period) - plant.f(X, u, t)) * plant.period
     if max(np.abs(gap).max() for gap in gaps) > SLIP:
         what = f"f and kappa expected to repeat after {plant.time_text(plant.period)}"
         raise ConfigError(f"plant {plant.name}: {what}; set period to the time after which they do")

@@ -23,7 +23,7 @@ Flow: TypeAlias = Callable[..., Array]  # f(x, u, t); of an implicit step a Trac
 class Predictor(InNotebook, ABC):
     """P(x) = X + D_hat ∫₀ˣ f(P(y), u(y)) dy on nx uniform nodes, both ends in [DAPF, eq. 10].
 
-    Call it with X (..., n), u (..., nx, m) and D_hat (...) in seconds; P is (..., nx, n). The u of one sample with one
+    Call it with X (..., n), u (..., nx, m) and D_hat (...); P is (..., nx, n). The u of one sample with one
     input may be (nx,). `t` (...) is the time at x = 0, of use to plants that depend on time. A predictor that you write
     is a subclass with `predict`.
 

@@ -64,8 +64,8 @@ class Limits(Result):
 class DelayMap(Result):
     """The loops that converge, by true delay and first estimate."""
 
-    D: list[float]  #: true delays, in seconds
-    D_hat0: list[float]  #: first estimates, in seconds
+    D: list[float]  #: true delays, in the plant's unit of time
+    D_hat0: list[float]  #: first estimates
     converged: list[list[bool]]  #: one row per D
     share: float  #: share of the numerical predictor's converging loops
     band: tuple[float, float] | None  #: range of D without a lost loop; `null` for none
@@ -77,7 +77,7 @@ class LoopEnd(Result):
     X_end: list[Number]  #: the state
     D_hat_end: Number  #: the delay estimate
     radius: Number  #: the largest distance over the last tenth
-    settle_time: Number  #: in seconds
+    settle_time: Number  #: in the plant's unit of time
 
 
 class Scores(Errors):
@@ -89,9 +89,9 @@ class Scores(Errors):
     #: loop is lost
     in_loop: Number
     radius: Radius  #: over the cases
-    settle_time: Number  #: the median over the cases, in seconds
+    settle_time: Number  #: the median over the cases, in the plant's unit of time
     settle_ratio: float | None  #: `settle_time` over the numerical predictor's, median
-    decay_rate: float | None  #: the median decay rate near rest, in 1/s; `null` without decay
+    decay_rate: float | None  #: the median decay rate near rest, in 1 / time; `null` without decay
     map: DelayMap | None  #: convergence by D and D̂(0); `null` without a map
     figure1: LoopEnd  #: the loop of Fig. 1
     figure1_bounded: LoopEnd | None = None  #: the same with U within `figure_bounds`; `null` without them
@@ -109,9 +109,9 @@ class KindSize(Result):
 class InLoop(Result):
     """The loops of the errors in the loop."""
 
-    #: the delay, in seconds; `null` if the plant declares its delay
+    #: the delay; `null` if the plant declares its delay
     D: float | None
-    #: first time, in seconds; `null` if it differs by loop
+    #: first time; `null` if it differs by loop
     start: float | None = Field(validation_alias=AliasChoices("from", "start"), serialization_alias="from")
     to: float  #: last time
     loops: int  #: how many
@@ -128,12 +128,12 @@ class Behaviour(Result):
     """The loops of one predictor in a scenario."""
 
     radius: Radii  #: over the cases
-    settle_time: Number  #: the median over the cases, in seconds
+    settle_time: Number  #: the median over the cases, in the plant's unit of time
     #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
     #: that radii are relative to
     lost: int
     overtaking: int = 0  #: those of them whose commands overtake each other
-    #: the largest |D̂ − D| over the last tenth and the cases, in seconds; `null` without an estimate
+    #: the largest |D̂ − D| over the last tenth and the cases; `null` without an estimate
     D_error: float | None
     #: share of the steps with a numerical answer; `null` without a guard
     fallback: float | None = None

@@ -69,7 +69,7 @@ class Comparison(InNotebook):
 
 def compare(
     plant: Plant, predictors: Mapping[str, Predictor] | Sequence[Predictor], *, X0: Any, t_end: float, D: Any = None,
-    D_hat: Any = None, dt: float = 0.005, **loop: Any,
+    D_hat: Any = None, dt: float | None = None, **loop: Any,
 ) -> Comparison:  # fmt: skip
     """The predictors of a plant, each timed, with its error, and with its results in the same loops.
 
@@ -92,8 +92,8 @@ def compare(
         plant that declares its delay.
     D_hat : array (...), in the plant's unit of time, optional
         Estimate of the delay; None for a plant that declares it.
-    dt : float, in the plant's unit of time, default 0.005
-        Control step; U is held over it.
+    dt : float, in the plant's unit of time, optional
+        Control step; U is held over it. By default that of npred.simulate.
     **loop : see simulate
         All other parameters of the loops.
 
@@ -142,7 +142,7 @@ def _named(predictors: Any) -> dict[str, Predictor]:
 
 def _reference(plant: Plant, about: Mapping[str, Any], loops: Trajectories) -> Reference:
     """Samples of the same loops with RK4, after the longest delay; `loops` are those of some predictor."""
-    batch, dt, last = loops.escaped.shape, about["dt"], loops.steps - 1
+    batch, dt, last = loops.escaped.shape, float(loops.t[1]) / about.get("every", 1), loops.steps - 1
     D: Any = loops.D_hat if plant.declares_delay else about["D"]
     longest = array_checks.floats("D", [D(t) for t in loops.t] if callable(D) else D).max()
     steps = np.arange(last + 1)[ceil(longest / dt) + 1 :]

@@ -27,8 +27,8 @@ from npred.prediction.methods import Predictor, numerical
 
 ROWS = 1024  # rows per call
 FRESH = 40  # samples of each fresh loop, at random times …
-START = 40.0  # … of its first seconds: the start-up is in them, and not too much of the rest
-LONGEST = 40.0  # seconds of a loop that knows D: transients are over by then
+START = 40.0  # … of its first delays: the start-up is in them, and not too much of the rest
+LONGEST = 40.0  # delays in a loop that knows D: transients are over by then
 SHORTEST = 4  # delays in it: two of them pass before the error is taken, and the last one has nothing to compare with
 QUANTILES = (0.5, 0.95, 1.0)
 NOMINAL, EXPLORING, REDRAWN, IMPORTED = "nominal", "exploring", "redrawn", "imported"
@@ -101,7 +101,7 @@ def _finite(job: Job, kind: str, rows: Labelled) -> Labelled:
 def sample_steps(seed: int, config: Evaluate, loops: int) -> np.ndarray:
     """At which steps the fresh rows are taken from each loop: (loops, FRESH), sorted."""
     rng = randomness.generator(seed, "evaluate", "fresh")
-    count = round(min(START, config.case_t_end) / config.dt) + 1
+    count = round(min(START * config.D, config.case_t_end) / config.dt) + 1
     return np.sort(rng.integers(0, count, (loops, FRESH)), axis=1)
 
 
@@ -162,7 +162,7 @@ def in_loop(pipeline: Pipeline, begin: Starts) -> Condition:
     D = max(round(config.D / config.dt), 1) * config.dt
     X0 = np.concatenate([begin.X0[:1], begin.X0[begin.cases][:: begin.repeats]])
     seed = randomness.integer(pipeline.seed, "evaluate", "in the loop")
-    return Condition(config, X0, D, D, max(min(LONGEST, config.case_t_end), SHORTEST * D), seed, adapts=False)
+    return Condition(config, X0, D, D, max(min(LONGEST * D, config.case_t_end), SHORTEST * D), seed, adapts=False)
 
 
 def in_loop_error(plant: Plant, predictor: Predictor, at_D: Condition, progress: Callable[[int], None]) -> float:
@@ -172,7 +172,7 @@ def in_loop_error(plant: Plant, predictor: Predictor, at_D: Condition, progress:
 
 
 def about_in_loop(plant: Plant, at_D: Condition) -> InLoop:
-    """The D = D_hat of these loops in seconds, the times that the error is the largest over, and their number.
+    """The D = D_hat of these loops, the times that the error is the largest over, and their number.
 
     Of a plant that declares its delay there is no such D, and the times differ by loop.
     """

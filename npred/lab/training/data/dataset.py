@@ -15,10 +15,10 @@ from npred.plants import Plant
 MEANING = {
     "X": "plant state X(t), one row per sample (N, n), in the plant's units",
     "u": "actuator state u(x_j, t) = U(t + D (x_j - 1)) on nx uniform nodes of [0, 1], both ends in (N, nx, m)",
-    "D_hat": "delay estimate in seconds (N,)",
+    "D_hat": "delay estimate (N,)",
     "P": "predictor P(x_j) = X + D_hat * integral of f(P, u) from 0 to x_j (N, nx, n)",
-    "D": "true delay of the rollout in seconds (N,)",
-    "t": "time of the sample in its rollout in seconds (N,)",
+    "D": "true delay of the rollout (N,)",
+    "t": "time of the sample in its rollout (N,)",
     "rollout": "number of the rollout (N,)",
     "test": "1 where the rollout is held out, else 0 (N,); no rollout has rows of both kinds",
 }
@@ -74,7 +74,7 @@ class Dataset:
                 raise ConfigError(f"{name}: expected shape {shape} for plant {plant.name}, got {got}; check the file")
         finite = {name: ~np.isfinite(getattr(self, name)) for name in ("X", "u", "D_hat", "P")}
         wrong = {f"{name}: expected finite numbers": bad for name, bad in finite.items()}
-        wrong |= {f"{name}: expected seconds from 0 on": getattr(self, name) < 0 for name in ("D_hat", "D")}
+        wrong |= {f"{name}: expected times from 0 on": getattr(self, name) < 0 for name in ("D_hat", "D")}
         wrong |= {"test: expected 1 where a row is held out, else 0": (self.test != 0) & (self.test != 1)}
         for expected, bad in wrong.items():
             bad_rows = bad.reshape(len(bad), -1).any(axis=1)
@@ -97,5 +97,5 @@ def attributes(plant: Plant, predictor: str) -> dict[str, Any]:
         "parameters": json.dumps(plant.parameters),
         "predictor": predictor,
         "nodes": "x_j = j / (nx - 1), both ends in",
-        "time unit": "s",
+        "time unit": plant.time_unit,
     }

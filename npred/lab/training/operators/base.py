@@ -63,7 +63,7 @@ class Operator(nn.Module):
         self, X: Tensor, u: Tensor, D_hat: Tensor, phase: Tensor | None = None, rest_nodes: int | None = None,
         stride: int = 1,
     ) -> Tensor:  # fmt: skip
-        """P_hat (B, nx, n) of X (B, n), u (B, nx, m) on nx uniform nodes, both ends, and D_hat (B,) in seconds.
+        """P_hat (B, nx, n) of X (B, n), u (B, nx, m) on nx uniform nodes, both ends, and D_hat (B,).
 
         `phase` (B,), t / period modulo 1, is for plants whose P depends on time.
         `rest_nodes`: the term at rest is interpolated in D_hat through so many points, which halves the work of a

@@ -50,7 +50,7 @@ class Moments:
 class Scaling(nn.Module):
     """Mean and spread of asinh(X / X_bend), u, D_hat and P by component, and the speed |P - X| / D_hat, as buffers.
 
-    Shapes: X, P, speed (n,), u (m,), D_hat (); in the units of the plant and seconds. Far states, whose data are few,
+    Shapes: X, P, speed (n,), u (m,), D_hat (); in the units of the plant. Far states, whose data are few,
     are drawn in by asinh, which is a logarithm there: what drives the plant are often ratios of states.
     """
 
