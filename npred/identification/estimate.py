@@ -255,7 +255,7 @@ def parameters(
     An interval is the least one around three: those of the cost's curvature at each delay that is possible, that of
     drawing the segments anew, and, where it is wide, that of the profile over the other parameters and the delay.
     """
-    problem, names = delays.problem, [*plant.parameters, *(f"offset of {name}" for name in plant.inputs)]
+    problem, names = delays.problem, [*plant.p_names, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
     if not len(theta):
         return {}, {}, None

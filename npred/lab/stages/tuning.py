@@ -190,7 +190,7 @@ def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
 
 
 def gains(plant: Plant) -> list[str]:
-    """The parameters that kappa reads, and neither f nor the delay, the reference or the limits: a user's choice.
+    """The parameters that kappa reads, and neither f, delay, reference, setpoint nor the limits: a user's choice.
 
     Raises ConfigError for a plant whose formulas cannot be read.
     """
@@ -200,8 +200,9 @@ def gains(plant: Plant) -> list[str]:
     x, u, t = trace.symbols()
     kappa, fixed = [*trace.kappa(x, t)], [*trace.f(x, u, t), *([trace.delay(x, t)] if plant.declares_delay else [])]
     fixed += [*(trace.reference(t) if plant.tracks else []), *(trace.safe(x, t) if plant.declares_safe else [])]
+    fixed += [*trace.setpoint(x, t)] if plant.declares_setpoint else []
     names = []
-    for name, symbol in zip(plant.parameters, trace.parameters, strict=True):
+    for name, symbol in zip(plant.parameters, trace.parameters, strict=False):
         if name not in LAW and programs.depends(kappa, [symbol]) and not programs.depends(fixed, [symbol]):
             names.append(name)
     return names
