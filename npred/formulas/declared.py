@@ -60,14 +60,14 @@ class Declared(Protocol):
     declaration: Any
     states: tuple[str, ...]
     inputs: tuple[str, ...]
-    parameters: Mapping[str, float]
     p_names: tuple[str, ...]
-    p: np.ndarray
 
     @property
     def n(self) -> int: ...
     @property
     def m(self) -> int: ...
+    @property
+    def parameters(self) -> Mapping[str, float]: ...
 
     def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
         """A declared function on components of any kind."""
@@ -104,7 +104,7 @@ def call(
 
 def parameters(plant: Declared) -> Parameters:
     """The parameters' values by name."""
-    return record("Parameters", plant.p_names)(*plant.p)
+    return record("Parameters", tuple(plant.parameters))(*np.array([*plant.parameters.values()], dtype=float))
 
 
 def failure(plant: Declared, name: str, error: Exception) -> ConfigError:

@@ -1,7 +1,7 @@
 """The rest of a set-point, X* and U* with f(X*, U*) = 0 and setpoint(X*) = 0, which a law reads as parameters."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +16,6 @@ SETTLE = "p, &z, &arrived"  # the arguments of the kernel, as npred/kernels/c/re
 STARTS = 16  # random ones in the box, where the search from `guess` finds no rest
 
 
-class Resting(Declared, Protocol):
-    """A plant that declares setpoint(x, t, p, M)."""
-
-    parameters: Mapping[str, float]
-    guess: np.ndarray
-    box: Mapping[str, tuple[float, float]]
-
-    @property
-    def settle(self) -> Kernel: ...
-
-
 class ReadOnly(dict[str, float]):
     """Parameters of a plant: a change of them would change nothing, so it is refused."""
 
@@ -34,7 +23,7 @@ class ReadOnly(dict[str, float]):
         cure = "write npred.plant(…, aim=2), or controller.set(aim=2) while it runs"
         raise ConfigError(f"plant.parameters: expected to be read only, got a change; {cure}")
 
-    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse
+    __setitem__ = __delitem__ = __ior__ = update = setdefault = pop = popitem = clear = _refuse  # type: ignore
 
     def __reduce__(self) -> Any:
         return dict, (dict(self),)
@@ -63,14 +52,14 @@ def kernel(plant: Declared) -> Kernel:
     return made("settle", SETTLE, skeleton("rest.h"), {"SLOPE": text}, {"N": n, "M": m}, exact=True)
 
 
-def settled(plant: Resting, p: np.ndarray, z: np.ndarray) -> np.ndarray | None:
+def settled(plant: Any, p: np.ndarray, z: np.ndarray) -> np.ndarray | None:
     """X* and U* (n + m,) of the parameters p, from z on; None where there is none that the search finds."""
     z, arrived = np.array(z), np.zeros(1)
     plant.settle(p, z, arrived)
     return z if arrived[0] and np.isfinite(z).all() else None
 
 
-def first(plant: Resting, p: np.ndarray) -> np.ndarray:
+def first(plant: Any, p: np.ndarray) -> np.ndarray:
     """X* and U* (n + m,) of the declared set-point, from `guess`, else from random states of the box.
 
     Raises ConfigError where no search ends.
@@ -82,7 +71,7 @@ def first(plant: Resting, p: np.ndarray) -> np.ndarray:
         z = settled(plant, p, np.append(X, np.zeros(plant.m)))
         if z is not None:
             return z
-    values = source_lines.values(plant.parameters, p)
+    values = source_lines.values([*plant.parameters], p[: len(plant.parameters)])
     what = f"expected a rest of the set-point, found none near guess = {plant.guess.tolist()} for {values}"
     raise ConfigError(f"{plant.location('setpoint')} {what}; move guess, or the parameters")
 
