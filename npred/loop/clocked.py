@@ -102,8 +102,8 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
     if plant.rests:
         u_star[:] = settable.targets(plant, simulation.course, rows * of.dt)[1]
     for goal in np.unique(u_star, axis=0):
-        own = (u_star == goal).all(axis=1)
-        out.energy[own, 0] = _energy(of, rows[own], spans[own], events, goal)
+        chosen = (u_star == goal).all(axis=1)
+        out.energy[chosen, 0] = _energy(of, rows[chosen], spans[chosen], events, goal)
     status = one.status
     return out, OnAClock(
         X_hat=events.X_hat[..., 0], age=events.age_then[:, 0], handed_over=events.handed_over[:, 0].astype(bool),

@@ -553,10 +553,9 @@ class Controller(InNotebook):
             fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
             plan = np.array(state.get("plan", np.zeros(len(z.plan))), dtype=float)
-            if parameters != self._numbers:
-                own = self._numbers
-                fits = fits and [*parameters] == [*own] and np.isfinite([*parameters.values()]).all()
-                fits = fits and all(parameters[name] == own[name] for name in self.fixed)
+            if parameters != (before := self._numbers):
+                fits = fits and [*parameters] == [*before] and np.isfinite([*parameters.values()]).all()
+                fits = fits and all(parameters[name] == before[name] for name in self.fixed)
             for one, memory in ((filtered, z.filter), (plan, z.plan)):
                 fits = fits and one.shape == memory[:, 0].shape and np.isfinite(one).all()
             if clock is not None:

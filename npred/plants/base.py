@@ -303,7 +303,7 @@ class Plant(InNotebook):
         """
         trace = Trace(self)
         x, u, t = trace.symbols()
-        f, rest = trace.f(x, u, t), ["t", *names("p", len(self.p))]
+        f, rest = trace.f(x, u, t), ["t", *names("p", len(self.p_names))]
         of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
         parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f)}
         parts |= {"kappa_x": (trace.kappa(x, t), x, of_kappa)} if self.declares_kappa else {}

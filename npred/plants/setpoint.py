@@ -7,7 +7,7 @@ import numpy as np
 
 from npred.base import randomness, source_lines
 from npred.base.errors import ConfigError
-from npred.formulas import programs
+from npred.formulas import array_math, programs
 from npred.formulas.declared import Declared
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
@@ -68,12 +68,24 @@ def first(plant: Any, p: np.ndarray) -> np.ndarray:
     low, high = np.array([plant.box.get(name, (-1.0, 1.0)) for name in plant.states]).T
     for k in range(STARTS + 1):
         X = draws.uniform(low, high) if k else plant.guess
-        z = settled(plant, p, np.append(X, np.zeros(plant.m)))
+        z = settled(plant, p, np.append(X, _nearly_held(plant, p, X)))
         if z is not None:
             return z
     values = source_lines.values([*plant.parameters], p[: len(plant.parameters)])
     what = f"expected a rest of the set-point, found none near guess = {plant.guess.tolist()} for {values}"
     raise ConfigError(f"{plant.location('setpoint')} {what}; move guess, or the parameters")
+
+
+def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
+    """The input (m,) with which f is least at X, by one Gauss-Newton step from 0; zeros where f is not defined."""
+    u, p = np.zeros(plant.m), p.tolist()
+    with np.errstate(all="ignore"):
+        try:
+            f = np.array(plant.call("f", X.tolist(), u.tolist(), 0.0, p, array_math.NUMPY), dtype=float)
+            f_U = np.array(plant.derivatives["f_u"](*X, *u, 0.0, *p), dtype=float).reshape(plant.m, plant.n).T
+        except (ArithmeticError, ValueError):
+            return u
+    return -np.linalg.lstsq(f_U, f, rcond=None)[0] if np.isfinite(f).all() and np.isfinite(f_U).all() else u
 
 
 def changed(
