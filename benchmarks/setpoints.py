@@ -86,7 +86,7 @@ class Reactor(Chemostat):
 
 
 class Oven:
-    """A temperature with a law of its own, which reads the set-point itself."""
+    """A temperature whose kappa reads the set-point itself."""
 
     states, inputs = ("T",), ("heat",)
     parameters = {"loss": 0.4, "k": 1.5, "aim": 20.0}

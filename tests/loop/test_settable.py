@@ -42,7 +42,7 @@ class Limited(setpoints.Pendulum):
 
 
 class Loaded:
-    """A cart with a law of its own, whose model reads the load, and the law the set-point."""
+    """A cart whose f reads the load, and whose kappa reads the set-point."""
 
     states, inputs = ("x", "v"), ("u",)
     parameters = {"load": 0.5, "aim": 0.0, "unused": 1.0}
