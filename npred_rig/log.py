@@ -16,6 +16,7 @@ from npred.lab.report.figures.notation import quantity, timed
 from npred.lab.report.figures.style import LineStyle
 from npred.loop import metrics
 from npred.loop.controller import Controller
+from npred.loop.settable import Piece, targets
 from npred.plants import Plant
 
 OVER = "the time is over"
@@ -72,16 +73,20 @@ def read(path: Path) -> RigLog:
     return RigLog(calls, samples, why)
 
 
-def distance(plant: Plant, samples: dict[str, np.ndarray]) -> np.ndarray:
-    """|X - X*| of the plant at each sample; infinity where a state has left the finite numbers."""
-    gap = np.stack([samples[name] for name in truth(plant)], axis=-1) - plant.target(samples["t"])
+def distance(plant: Plant, course: list[Piece], samples: dict[str, np.ndarray]) -> np.ndarray:
+    """|X - X*| of the plant at each sample, X* of the set-point of its time; infinity where a state has left the finite
+    numbers.
+    """
+    order, goals = np.argsort(samples["t"]), np.empty((len(samples["t"]), plant.n))
+    goals[order] = targets(plant, course, samples["t"][order])[0]
+    gap = np.stack([samples[name] for name in truth(plant)], axis=-1) - goals
     return np.nan_to_num(np.linalg.norm(gap, axis=-1), nan=np.inf, posinf=np.inf)
 
 
-def summary(plant: Plant, log: RigLog, dt: float) -> dict[str, Any]:
+def summary(plant: Plant, course: list[Piece], log: RigLog, dt: float) -> dict[str, Any]:
     """The numbers of a loop with that control step; times in seconds where no name says µs."""
     calls, samples = log.calls, log.samples
-    number, late, far = samples["rig.number"], calls["rig.late"], distance(plant, samples)
+    number, late, far = samples["rig.number"], calls["rig.late"], distance(plant, course, samples)
     slots = np.round((calls["t"] - late) / dt)
     return {
         "D_hat": _number(calls["rig.D_hat"][-1]), "D_hat_spread": _number(calls["rig.D_hat_spread"][-1]),

@@ -20,7 +20,7 @@ from npred.lab.report.figures.style import MEDIA
 from npred.lab.report.terminal import interruption
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.models import load_model, loaded
-from npred.loop import loop_checks, metrics
+from npred.loop import loop_checks, metrics, settable
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.loop import HISTORY
 from npred.plants import Plant
@@ -43,23 +43,27 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")
     controller = _controller(options, plant, channel)
+    setpoints, bounds = conditions.setpoints(options.config.evaluate), controller.settings.input_bounds
+    course = settable.course(plant, setpoints, controller.fixed, bounds)
     with interruption.graceful("interrupted; the log has all up to then"):
-        late = run(options, plant, controller, channel, path)
+        late = run(options, plant, controller, course, channel, path)
     written = log.read(path)
     if written.why != log.OVER:
         raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
     if plot:
         figures.write(log.figure(plant, plot.stem, written), plot.parent, MEDIA["page"], [plot.suffix[1:]])
-    document = log.summary(plant, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
+    document = log.summary(plant, course, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)
     near, radius = metrics.LOST * metrics.size(plant.target(0.0)), document["radius"]
-    if radius is None or radius > max(log.distance(plant, written.samples)[0], near):
+    if radius is None or radius > max(log.distance(plant, course, written.samples)[0], near):
         away = "that left the finite numbers" if radius is None else f"{radius:.3g} away at the end"
         raise UnmetError(f"rig: expected a loop that stays, got one {away}; read {path}")
 
 
-def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel, path: Path) -> np.ndarray:
+def run(
+    options: Rigged, plant: Plant, controller: Controller, course: list[settable.Piece], channel: Channel, path: Path
+) -> np.ndarray:
     """Run both sides until they end, or this process is asked to; how late a process comes, in seconds, that only
     waits for the same times. Raises NpredError where one ends before it begins.
     """
@@ -67,7 +71,7 @@ def run(options: Rigged, plant: Plant, controller: Controller, channel: Channel,
     table, console = options.config.evaluate, options.console
     truth = conditions.truth(plant, table) or plant
     work: list[tuple[Any, tuple[Any, ...]]] = [
-        (sides.control, (controller, ends[0], channel, seconds, path)),
+        (sides.control, (controller, course, ends[0], channel, seconds, path)),
         (sides.simulate, (truth, table, controller.u0, controller.observer, ends[1], channel)),
         (sides.only_wait, (controller.dt, seconds)),
     ]

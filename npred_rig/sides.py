@@ -19,6 +19,7 @@ from npred.lab.config import Evaluate
 from npred.lab.report.terminal import interruption
 from npred.loop.controller import Controller
 from npred.loop.engine import advance_kernel
+from npred.loop.settable import Piece
 from npred.plants import Plant
 from npred.prediction.methods import RK4
 from npred_rig.log import CALL, OVER, SAMPLE, LogFile, truth
@@ -60,11 +61,13 @@ def only_wait(dt: float, seconds: float, parent: Connection) -> None:
 
 
 def control(
-    controller: Controller, end: socket.socket, network: Channel, seconds: float, path: Path, parent: Connection
-) -> None:
+    controller: Controller, course: list[Piece], end: socket.socket, network: Channel, seconds: float, path: Path,
+    parent: Connection,
+) -> None:  # fmt: skip
     """Be the controller for so many seconds, or until the plant or the parent is gone; the log says which.
 
-    Each dt it takes the newest sample that has arrived, sends U, and writes the call and its samples to the log.
+    Each dt it sets what `course` has for this time, takes the newest sample that has arrived, sends U, and writes the
+    call and its samples to the log.
     """
     link = UdpLink(end, network, "samples", agreed(parent))
     gc.disable()
@@ -76,6 +79,8 @@ def control(
             t = link.now
             packets = link.arrived(t)
             begun = begun or bool(packets)
+            while course and course[0].start <= t:
+                controller.set(**course.pop(0).values)
             if begun:  # before the first sample there is nothing to begin from
                 newest = max(packets, key=lambda packet: packet.sent_at, default=None)
                 sample = {"X": newest.values[:n], "sampled_at": newest.sent_at} if newest else {}

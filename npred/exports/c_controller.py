@@ -24,6 +24,7 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
+TAKEN = ("state", "D_hat", "time", "parameters", "one")  # what other functions of the header are called by
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
 FLAGS = "reads_commands stores_commands gated offsets watched holds pulls"
@@ -36,8 +37,8 @@ def sources(
 ) -> tuple[str, str]:
     """The header and the source, with a program in it that tests them (npred.exports.self_test).
 
-    A `tunable` controller holds the plant's parameters, gamma dt and the settings of the guard in its C struct, so that
-    they can be set. All identifiers begin with `name`.
+    A `tunable` controller holds gamma dt and the settings of the guard in its C struct, so that they can be set. All
+    identifiers begin with `name`.
     Raises ConfigError for a name or precision that is none, and for a controller with a part that runs in Python.
     """
     if not NAME.fullmatch(name):
@@ -57,26 +58,32 @@ def sources(
         fused = Fused(network.plant, network.operator, network.nx, network.name, stride)  # type: ignore[attr-defined]
         parts = parts | {"predict": fused.on(network.nx)}
     kernels = {part: kernel for part, kernel in parts.items() if kernel}
+    free = settable(controller)
+    settle = [controller.plant.settle] if free and controller.plant.declares_setpoint else []
     variants = {
         "READS_COMMANDS": bool(controller.settings.reads_commands),
         "KEEPS_COMMANDS": controller.keeps_commands,
         "WATCHES": "observe" in kernels,
         "FILTERS": controller.observer is not None,
         "TUNABLE": tunable,
+        "SETS": bool(free),
+        "SETTLES": bool(settle),
         "OFFSETS": bool(controller.settings.offsets),
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
     sizes = _sizes(controller, kernels, variants)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
-    texts = [text for kernel in kernels.values() for text in kernel.texts]
+    texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": single(text) if precision == "float" else text,
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
-        "test": _test(controller, precision),
+        "setters": "".join(f"{_setter(name, one, precision)};\n" for one in free),
+        "set": "\n".join(_setter(name, one, precision, k) for k, one in enumerate(free)),
+        "test": _test(controller, name, precision),
     }
     files = [c_files.filled(f"controller.{suffix}", name, precision, variants, included) for suffix in "hc"]
     digest = hashlib.sha256("".join(files).encode()).hexdigest()
@@ -103,6 +110,19 @@ def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     return low, min(high, controller.longest_D_hat) if controller.settings.reads_commands else high
 
 
+def settable(controller: Controller) -> dict[str, float]:
+    """The parameters that can be set while it runs, with their values now."""
+    return {name: value for name, value in controller.parameters.items() if name not in controller.fixed}
+
+
+def _setter(name: str, parameter: str, real: str, number: int | None = None) -> str:
+    """The C function that sets one parameter, the one of that number, or its head alone."""
+    letters = re.sub(r"[^A-Za-z0-9_]", lambda letter: f"u{ord(letter[0]):04x}", parameter)
+    letters += "_" * (letters in TAKEN)
+    head = f"int {name}_set_{letters}({name}_controller *self, {real} value)"
+    return head if number is None else f"{head}\n{{\n    return {name}_set_one(self, {number}, value);\n}}\n"
+
+
 def digest(header: str) -> str:
     """The sha256 that a header holds, of both files."""
     return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
@@ -118,7 +138,8 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     sizes |= {"OBSERVER": len(z.observer)} if variants["WATCHES"] else {}
     sizes |= {"ENDS": len(z.moments), "PLAN": len(z.plan)} if variants["PROTECTS"] else {}
     if variants["TUNABLE"]:
-        sizes |= {"PARAMETERS": max(settings.p.size, 1), "GUARD": max(settings.guard.size, 1)}
+        sizes |= {"GUARD": max(settings.guard.size, 1)}
+    sizes |= {"PARAMETERS": len(settable(controller)), "NUMBERS": settings.p.size} if variants["SETS"] else {}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
     states = 2 * controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 2 * settings.output_count
@@ -145,6 +166,10 @@ def _settings(
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
     lines += [constant(f"the_{name}", a if a.size else np.zeros(1), real) for name, a in arrays.items()]
     lines += [f"static const Shape the_shape = {{{shape}}};"]
+    if free := settable(controller):
+        places = ", ".join(str(controller.plant.p_names.index(name)) for name in free)
+        lines += [f"static const int the_places[{len(free)}] = {{{places}}};"]
+        lines += [f"#define the_settle {controller.plant.settle.name}"] if controller.plant.declares_setpoint else []
     pointers = {name: kernel.name for name, kernel in kernels.items()}
     for kind, members in (("Settings", values), ("Parts", pointers)):
         entries = (f"    .{name} = {text}," for name, text in members.items())
@@ -168,20 +193,27 @@ def _about(controller: Controller, real: str, model: str) -> list[str]:
     ]
 
 
-def _test(controller: Controller, real: str) -> str:
+def _test(controller: Controller, name: str, real: str) -> str:
     """Calls of the controller in Python, which the file's program repeats."""
     test, growth = self_test.designed(controller)
     U, D_hat = self_test.answers(controller, test)
     size = np.nanmax(np.abs(U), axis=0)
     arrays = {"X": test.X, "U": U, "D_hat": D_hat, "size": np.append(np.where(size > 0, size, 1.0), D_hat.max() or 1.0)}
     arrays |= {"u": test.u} if test.u.size else {}
-    vectors = [constant(f"test_{name}", np.ravel(a), real) for name, a in arrays.items()]
+    vectors = [constant(f"test_{key}", np.ravel(a), real) for key, a in arrays.items()]
     stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
-    vectors += [constant(f"test_{name}", a) for name, a in stamps.items()]
+    vectors += [constant(f"test_{key}", a) for key, a in stamps.items()]
     single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
     if single and controller.safety:
         limit = max(limit, COARSE)
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
-    return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors])
+    sets = []
+    if values := self_test.moved(controller):
+        vectors.append(constant("test_p", np.array([*values.values()]), real))
+        lines = [
+            f"    {_setter(name, one, real).split('(')[0].split()[1]}(c, test_p[{k}]);" for k, one in enumerate(values)
+        ]
+        sets = [f"static void test_set({name}_controller *c)", "{", *lines, "}"]
+    return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors, *sets])

@@ -26,7 +26,7 @@ import npred
 from npred.base.errors import ConfigError, unlisted
 from npred.base.json_files import escaped
 from npred.exports import Exported, WholeController, c_controller, c_files
-from npred.guard.guarded import PASSES, Guarded, bare
+from npred.guard.guarded import PASSES, Guarded
 from npred.kernels.c_text import literal
 from npred.loop.controller import Controller
 from npred.plants.speed import long
@@ -329,7 +329,7 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
 
 
 def _parameters(controller: Controller) -> Iterator[Variable]:
-    """Numbers that can be set: of a network it is not the plant's parameters, for it was trained for them."""
+    """Numbers that can be set, the plant's parameters as `controller.set` takes them."""
     plant, predictor, law = controller.plant, controller.predictor, controller.adaptation
     if not plant.declares_delay:
         low, high = c_controller.D_hat_bounds(controller)
@@ -341,9 +341,8 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
     if isinstance(predictor, Guarded):
         about = "largest error of the command that passes the guard"
         yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
-    if not hasattr(bare(predictor), "operator"):
-        for name, value in plant.parameters.items():
-            yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
+    for name, value in c_controller.settable(controller).items():
+        yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")
 
 
 def _header(controller: Controller, listed: Sequence[Variable], name: str, token: str) -> str:

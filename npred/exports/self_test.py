@@ -4,6 +4,7 @@ A plant whose delay is another one than D_hat is kicked about. Its samples come 
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -13,15 +14,17 @@ from npred.base.randomness import generator
 from npred.loop.controller import Controller
 
 # What a call does, as npred/exports/c/controller.c numbers it.
-SAMPLED, STAMPED, APPLIED, SAVED, ESTIMATE, TIME, ANEW = (1 << bit for bit in range(7))
+SAMPLED, STAMPED, APPLIED, SAVED, ESTIMATE, TIME, ANEW, SET = (1 << bit for bit in range(8))
 NOW = SAMPLED | STAMPED
 DOES = {"plain": SAMPLED, "none": STAMPED, "restart": STAMPED | TIME, "anew": STAMPED | ANEW}
 DOES |= {"applied": NOW | APPLIED, "saved": NOW | SAVED, "estimate": NOW | ESTIMATE, "time": NOW | TIME}
+DOES |= {"set": NOW | SET}
 # sizes of the kicks: the first one is taken that does not amplify rounding errors too much.
 SIZES = (1.0, 0.5, 0.2, 0.1, 0.03)
 EDGES = {"edge": 0.99, "over": 1.01}  # times the gate: a sample that is still believed, and one that is not
 GROWTH = 200.0  # times a relative error of the samples, up to which the test takes these
 TURNED = 1e-9  # that error
+MOVED = 0.02  # share of a parameter's value by which it is changed
 X_ROWS, U_ROWS, MEASURED_CALLS = 5, 4, 24  # for a controller that gets u: rows that are taken in turn
 
 ROUNDED = {"earlier": 0.47, "later": 0.53}  # in control steps: a sample's time, which is moved to the nearest begin
@@ -64,15 +67,30 @@ def answers(controller: Controller, test: Test) -> tuple[np.ndarray, np.ndarray]
     return np.array([U for U, _ in rows]), np.array([D_hat for _, D_hat in rows])
 
 
+def moved(controller: Controller) -> dict[str, float]:
+    """Other values of the parameters that can be set, as the test sets them one after the other."""
+    twin, values = controller.fresh(), {}
+    for name, value in controller.parameters.items():
+        for share in () if name in controller.fixed else (MOVED, -MOVED):
+            values[name] = value + share * (abs(value) or 1.0)
+            with suppress(ConfigError):
+                twin.set(**{name: values[name]})
+                break
+    return values
+
+
 class _Player:
     """A new controller that takes the calls of a test."""
 
     def __init__(self, controller: Controller, u: np.ndarray) -> None:
-        self.first, self.twin, self.u = controller, controller.fresh(), u
+        self.first, self.twin, self.u, self.moved = controller, controller.fresh(), u, moved(controller)
 
     def call(self, s: int, does: int, t: float, taken: float, X: np.ndarray) -> tuple[np.ndarray, float]:
         if does & ANEW:
             self.twin = self.first.fresh()
+        for name, value in self.moved.items() if does & SET else ():
+            with suppress(ConfigError):
+                self.twin.set(**{name: value})
         if does & SAVED:
             saved, self.twin = self.twin.state(), self.first.fresh()
             self.twin.restore(saved)
@@ -185,6 +203,7 @@ def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
         yield "now", gap, age
     yield from [("none", 1.0, 0.0), ("none", 1.5, 0.0), ("none", 1.0, 0.0), ("applied", 1.0, 0.0), now]
     yield from [("none", 1.0, 0.0), ("far", 1.25, 0.25), ("now", 1.0, 1.5), now, ("estimate", 1.0, 0.0)]
+    yield from [("set", 1.0, 0.0), now]
     for age in (oldest / 2, oldest + 3.0, oldest + 0.5, oldest - 0.5, 0.0):
         yield from [("none", oldest / 2 + 3.5, 0.0), ("none", oldest / 2 + 1.25, 0.0), ("now", 1.0, age)]
     for what in EDGES:
@@ -239,7 +258,7 @@ def _measured(controller: Controller, size: float) -> Test:
         u.append(np.clip(a + (b - a) * x + 0.2 * (b - a) * np.sin((3 + row) * x), low, high))
     does = np.full(MEASURED_CALLS, SAMPLED)
     does[1::2] |= STAMPED
-    does[[9, 13, 17]] |= SAVED, ESTIMATE, TIME
+    does[[5, 9, 13, 17]] |= SET, SAVED, ESTIMATE, TIME
     t = controller.t + (np.arange(MEASURED_CALLS) + 20.0 * (np.arange(MEASURED_CALLS) >= 17)) * controller.dt
     return Test(does, t, t, np.array(X), np.array(u[:U_ROWS]))
 

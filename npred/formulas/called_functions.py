@@ -82,7 +82,7 @@ def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[
     read = {"f": (x, u, t), "df": (x, u, t, v, dt), "kappa": (x, t), "law": (x, t, v, dt)}[name]
     outputs = np.ravel(getattr(trace, name)(*read))
     arguments = ["t", *names("x", plant.n), *(names("u", plant.m) if u is read[1] else [])]
-    arguments += names("p", len(plant.parameters)) + (["dt", *names("d", plant.n)] if read[-1] is dt else [])
+    arguments += names("p", len(plant.p_names)) + (["dt", *names("d", plant.n)] if read[-1] is dt else [])
     return arguments, outputs
 
 

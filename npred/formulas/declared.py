@@ -2,7 +2,7 @@
 
 import re
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, ClassVar, Protocol
@@ -17,7 +17,7 @@ from npred.formulas.tape import INSTEAD, NAMES, Functions
 Components = list[Value] | None
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
-SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output", "safe")}
+SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output", "safe", "setpoint")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
@@ -47,6 +47,7 @@ RETURNS = {
     "delay": "one number of seconds, not a list",
     "mechanics": "M, force and damping",
     "output": "a list, one value per output",
+    "setpoint": "a list, one value per input, 0 at rest",
     "safe": "a list, one value per limit, at least 0 where it is safe",
 }
 
@@ -59,12 +60,14 @@ class Declared(Protocol):
     declaration: Any
     states: tuple[str, ...]
     inputs: tuple[str, ...]
-    parameters: dict[str, float]
+    p_names: tuple[str, ...]
 
     @property
     def n(self) -> int: ...
     @property
     def m(self) -> int: ...
+    @property
+    def parameters(self) -> Mapping[str, float]: ...
 
     def call(self, name: str, x: Components, u: Components, t: Value, p: Sequence[Value], M: Functions) -> list[Value]:
         """A declared function on components of any kind."""
@@ -83,7 +86,7 @@ def call(
     Only f and mechanics take u, and `reference` takes the time alone.
     """
     state = () if x is None else (record("State", plant.states)(*x),)
-    named = record("Parameters", tuple(plant.parameters))(*p)
+    named = record("Parameters", plant.p_names)(*p)
     inputs = () if u is None else (record("Inputs", plant.inputs)(*u),)
     function = getattr(plant.declaration, name)
     try:
@@ -150,7 +153,7 @@ def _of_M(error: Exception, function: Callable[..., Any]) -> str | None:
 
 def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
     """The advice on a name that the function does not know."""
-    homes = {"p": plant.parameters} | ({"x": plant.states, "M": NAMES} if plant.traced else {})
+    homes = {"p": plant.p_names} | ({"x": plant.states, "M": NAMES} if plant.traced else {})
     if function in ("f", "mechanics") and plant.traced:
         homes["u"] = plant.inputs
     for home, names in homes.items():

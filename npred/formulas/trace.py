@@ -39,7 +39,7 @@ class Trace:
         self.called = called
         self.steps: dict[str, Callable[..., Any]] = {}  # formulas that are called, by the names of the functions
         self.tape = tapes.Tape()
-        self.parameters = self.tape.inputs("p", len(plant.parameters))
+        self.parameters = self.tape.inputs("p", len(plant.p_names))
 
     def input(self, name: str) -> tapes.Symbol:
         """A scalar input of the program."""
@@ -78,6 +78,10 @@ class Trace:
     def safe(self, x: np.ndarray, t: Value) -> np.ndarray:
         """safe(x, t), limits that are at least 0 where the state is safe, shape (limits,)."""
         return self._call("safe", self.plant.limits, x, None, t)
+
+    def setpoint(self, x: np.ndarray, t: Value) -> np.ndarray:
+        """setpoint(x, t), what is 0 at the rest that the law leads to, shape (m,)."""
+        return self._call("setpoint", self.plant.m, x, None, t)
 
     def reference(self, t: Value) -> np.ndarray:
         """reference(t), shape (n,)."""
@@ -130,7 +134,7 @@ class Trace:
                 )
         if len(values) != size:
             count = f"{size} value{'s' * (size > 1)}"
-            names = ", ".join(self.plant.inputs if name == "kappa" else self.plant.states)
+            names = ", ".join(self.plant.inputs if name in ("kappa", "setpoint") else self.plant.states)
             cure = f"return {RETURNS[name]}: {names}"
             raise ConfigError(f"{self.plant.location(name)} expected to return {count}, got {len(values)}; {cure}")
         return np.array(values, dtype=object)

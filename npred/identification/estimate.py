@@ -256,7 +256,7 @@ def parameters(
     drawing the segments anew, the values at other minima, and, where it is wide, that of the profile over the other
     parameters and the delay.
     """
-    problem, names = delays.problem, [*plant.parameters, *(f"offset of {name}" for name in plant.inputs)]
+    problem, names = delays.problem, [*plant.p_names, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
     if not len(theta):
         return {}, {}, None

@@ -338,10 +338,10 @@ def prepared(plant: Plant, log: Log, settings: Settings, whole: bool = False) ->
         raise ConfigError(f"plant {plant.name}: expected a plant whose delay is unknown, it declares delay(x, t, p, M)")
     most_delay = longest(log, settings)
     rows = log.later(0.0 if whole else most_delay)
-    names, bounds, free_range = list(plant.parameters), settings.bounds or {}, (-np.inf, np.inf)
+    names, bounds, free_range = list(plant.p_names), settings.bounds or {}, (-np.inf, np.inf)
     for name in (*settings.free, *bounds):
-        if name not in names:
-            raise ConfigError(unlisted("free", name, names, f"parameters of plant {plant.name}:"))
+        if name not in plant.parameters:
+            raise ConfigError(unlisted("free", name, plant.parameters, f"parameters of plant {plant.name}:"))
     chosen = [k for k, name in enumerate(names) if name in settings.free or name in bounds]
     used: list[int] = []  # by f or the outputs; nobody knows of a plant that is called
     if plant.traced:

@@ -94,7 +94,7 @@ class Formulas:
         n, m = self.plant.n, self.plant.m
         sizes = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
         sizes = {"f": n, "df": n, "kappa": m, "law": 2 * m} | sizes
-        return function("{name}", outputs, arguments, results, len(self.plant.p), stride, sizes)
+        return function("{name}", outputs, arguments, results, len(self.plant.p_names), stride, sizes)
 
     def f(self) -> str:
         """f of x, u with the stride of lanes, to y next to each other."""

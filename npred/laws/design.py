@@ -25,9 +25,9 @@ SLOW = 1e-6  # share of the derivatives' size: rates below are those of integrat
 class Design:
     """A plant as a law is designed for it; its own kappa, if it has one, is not looked at.
 
-    It is to rest at `guess`, where an input holds it there, else at a point of rest near it; or to follow `reference`,
-    where it declares one. Raises ConfigError for a plant that is not traced, that has no such point, or whose f
-    depends on time without a reference.
+    It is to rest at `guess`, where an input holds it there, else at a point of rest near it; at the rest of `setpoint`,
+    or along `reference`, where it declares one of them. Raises ConfigError for a plant that is not traced, that has no
+    such point, or whose f depends on time without a reference.
     """
 
     def __init__(self, plant: Plant, law: str) -> None:
@@ -55,13 +55,16 @@ class Design:
 
     @cached_property
     def rest(self) -> tuple[np.ndarray, np.ndarray]:
-        """X and u with f(X, u) = 0, (n,) and (m,), X nearest to `guess` in half widths of the box.
+        """X and u with f(X, u) = 0, (n,) and (m,): that of a set-point, else X nearest to `guess` in half widths of the
+        box.
 
         Another one may be nearer where none of STARTS searches, from as near to `guess` as the first point found, leads
         there. X is kept to DECIMALS of those widths: more would differ between libraries of linear algebra.
         """
         plant, n = self.plant, self.plant.n
         low, high = self.limits.T
+        if plant.declares_setpoint:
+            return self._held(plant.p[-n - plant.m : -plant.m], plant.p[-plant.m :])
         start = np.concatenate([plant.guess, np.clip(0.0, low, high)])
         z, arrived = self._onto(start)
         if not arrived or self._distance(z) > 0:
@@ -80,10 +83,13 @@ class Design:
             z = self._nearer(min(near, key=self._distance), NEAR)
             z[:n] = np.round(z[:n] / self.widths, DECIMALS) * self.widths + 0.0
             z, _ = self._onto(z)
-        X, u = z[:n], z[n:]
-        if (u < low).any() or (u > high).any():
-            values = source_lines.values(plant.inputs, u)
-            raise self.refusal(f"an input within input_bounds at rest, got {values}", "move guess")
+        return self._held(z[:n], z[n:])
+
+    def _held(self, X: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """X, u. Raises ConfigError for an input that is out of its bounds."""
+        if (u < self.limits[:, 0]).any() or (u > self.limits[:, 1]).any():
+            values = source_lines.values(self.plant.inputs, u)
+            raise self.refusal(f"an input within input_bounds at rest, got {values}", "move guess, or the set-point")
         return X, u
 
     @property
@@ -148,10 +154,13 @@ class Design:
 
     @cached_property
     def target(self) -> tuple[Sequence[Value], Sequence[Value]]:
-        """State and input to lead to, as numbers or as expressions of t.
+        """State and input to lead to, as numbers, as expressions of t, or as the parameters that are a set-point's.
 
         The input of a reference is the one with which f is its derivative, by least squares where f has more rows.
         """
+        if self.plant.declares_setpoint:
+            rest = self.trace.parameters[-self.plant.n - self.plant.m :]
+            return rest[: self.plant.n], rest[self.plant.n :]
         if not self.follows:
             X, u = self.rest
             return X.tolist(), u.tolist()

@@ -59,23 +59,29 @@ def written(trace: Trace, guess: tuple[float, ...], outputs: Vector) -> Law:
     """The law whose values are these expressions of the trace's x, t and parameters."""
     plant: Plant = trace.plant
     bindings = {f"x{k}": f"x.{name}" for k, name in enumerate(plant.states)}
-    bindings |= {f"p{k}": f"p.{name}" for k, name in enumerate(plant.parameters)}
+    bindings |= {f"p{k}": f"p.{name}" for k, name in enumerate(plant.p_names)}
     results = names("u", plant.m)
     lines = programs.lines(outputs, bindings, results, TEXTS)
     return _defined([*lines, f"return [{', '.join(results)}]"], guess)
 
 
 def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np.ndarray) -> Law:
-    """u - K (x - X) for K (m, n), X (n,), u (m,), without the terms that are rounding for errors of those widths."""
-    commands = []
-    for at_rest, gains in zip(u, K, strict=True):
+    """u - K (x - X) for K (m, n), X (n,), u (m,), or those of the set-point, without the terms that are rounding for
+    errors of those widths."""
+    commands, errors = [], [error(f"x.{name}", rest) for name, rest in zip(plant.states, X, strict=True)]
+    named = [f"p.{name}" for name in plant.p_names[-plant.n - plant.m :]] if plant.declares_setpoint else []
+    if named:
+        errors = [f"(x.{name} - {rest})" for name, rest in zip(plant.states, named[: plant.n], strict=True)]
+    for k, (at_rest, gains) in enumerate(zip(u, K, strict=True)):
         sizes = np.abs(gains) * widths
         terms = [
-            f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {error(f'x.{name}', rest)}"
-            for name, gain, rest, size in zip(plant.states, gains, X, sizes, strict=True)
+            f"{'-' if gain > 0 else '+'} {abs(gain):.{DIGITS}g} * {away}"
+            for away, gain, size in zip(errors, gains, sizes, strict=True)
             if size > SMALL * sizes.max()
         ]
-        if at_rest or not terms:
+        if named:
+            terms.insert(0, named[plant.n + k])
+        elif at_rest or not terms:
             terms.insert(0, f"{at_rest:.12g}")
         else:
             sign, first = terms[0].split(" ", 1)

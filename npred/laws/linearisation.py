@@ -197,7 +197,7 @@ def _outputs(design: Design, output: Output) -> list[OutputMap]:
             expected = f"an output per input, of {', '.join(plant.states)}, got {words}"
             raise design.refusal(expected, f"name {plant.m}")
         return [_state(plant.states.index(word)) for word in words]
-    named, p = record("State", plant.states), record("Parameters", tuple(plant.parameters))(*design.trace.parameters)
+    named, p = record("State", plant.states), record("Parameters", plant.p_names)(*design.trace.parameters)
 
     def values(x: Vector, t: Value) -> list[Value]:
         returned = words(named(*x), t, p, M)
@@ -278,10 +278,12 @@ def _goals(design: Design, output: OutputMap, degree: int) -> list[Value]:
     """The output and its derivatives by the time along the law's target, degree + 1 of them."""
     X = design.target[0]
     y = output(X, design.t)
-    if not design.follows:  # a number
+    if not (design.follows or design.plant.declares_setpoint):  # a number
         at_rest = design.values([output(design.x, design.t)], design.targets[0][:1], np.zeros(1))
         return [float(f"{at_rest[0, 0]:.12g}"), *[0.0] * degree]
     goals = [y]
+    if not design.follows:
+        return goals + [0.0] * degree
     for _ in range(degree):
         goals += programs.derivative(goals[-1:], [design.t], [1.0])
     return goals

@@ -18,8 +18,9 @@ SAME = 1e-9  # share of the largest singular value: below it a rank is lost
 def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) -> Law:
     """kappa = u - K (x - X) with K = inv(R) B' S of the Riccati equation A'S + SA - S B inv(R) B' S + Q = 0.
 
-    A and B are those of f at the point of rest X, u, or their means along the reference. The law itself is not clipped:
-    npred clips every U to the input bounds.
+    A and B are those of f at the point of rest X, u, or their means along the reference. Of a plant that declares a
+    setpoint, X and u are its rest and move with it, and K stays that of the declared one. The law itself is not
+    clipped: npred clips every U to the input bounds.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def gains(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = None
 
 
 def along(design: Design, K: np.ndarray) -> Law:
-    """u - K (x - X), for the point of rest or the reference X with its input u.
+    """u - K (x - X), for the point of rest, that of a set-point, or the reference X with its input u.
 
     Along a reference the gain is K(t) with A(t) - B(t) K(t) = A - B K, of the means A and B, so that errors obey the
     same equation all the time; or K where no K(t) does that.
@@ -92,7 +93,8 @@ def adjustable(plant: Plant, K: np.ndarray) -> Plant:
     other = type(plant)(plant.name, declared, source=plant.source)
     design = Design(other, "lqr")
     A, B = design.linearised
-    symbols = np.array(design.trace.parameters[-K.size :], dtype=object).reshape(K.shape)
+    first = len(plant.parameters)
+    symbols = np.array(design.trace.parameters[first : first + K.size], dtype=object).reshape(K.shape)
     closed = A - B @ (symbols if design.schedules(A - B @ K) else K)
     return other.controlled(written(design.trace, design.guess, _commands(design, symbols, closed)))
 

@@ -84,7 +84,7 @@ def _value(design: Design, V: Callable[..., Any] | str | None) -> tuple[Value, V
     """V on the tape, and e'Qe of the regulator whose V it is."""
     plant = design.plant
     if callable(V):
-        p = record("Parameters", tuple(plant.parameters))(*design.trace.parameters)
+        p = record("Parameters", plant.p_names)(*design.trace.parameters)
         return V(record("State", plant.states)(*design.x), design.t, p, M), None
     if V is None and plant.declares_V:
         return design.trace.V(design.x, design.t), None

@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from npred.base import devices
 from npred.base.errors import ConfigError
 from npred.loop import measurement as sensing
-from npred.loop import signals
+from npred.loop import settable, signals
 from npred.loop.controller import OLDEST, Controller
 from npred.loop.engine import Engine
 from npred.loop.loop import Loop
@@ -82,7 +83,7 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
         pushes = simulation.pushes[..., min(number, simulation.pushes.shape[2] - 1)]
     settings = one.settings._replace(
         every=simulation.every, row_count=simulation.rows, sample_count=len(samples),
-        samples=np.ascontiguousarray(samples, dtype=np.int64), truth_p=of.real.p,
+        samples=np.ascontiguousarray(samples, dtype=np.int64), truth_p=of.real.p.copy(),
         tabulates=int(delays.size > 0), delays=np.ascontiguousarray(delays[:, None] * plant.ratios),
         disturbed=int(pushes.size > 0), disturbance=np.ascontiguousarray(pushes),
         **sensing.settings(of.measurement, of.dt, number, len(one.outputs)),
@@ -91,9 +92,18 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
     events = _events(simulation, number, len(one.outputs), past)
     out = simulation.record(1, len(samples))
     parts = one.parts | {"advance": simulation.parts["advance"], "output": of.observer and of.observer.measure()}
-    Engine(parts, settings, z, out, events).run_clocked(0, simulation.count)
+    steps = Engine(parts, settings, z, out, events)
+    for start, stop in pairwise(sorted({0, simulation.count, *simulation.begins})):
+        simulation.begin(start, settings)
+        steps.run_clocked(start, stop, simulation.count)
     rows = np.arange(simulation.rows) * simulation.every
-    out.energy[:, 0] = _energy(of, rows, delays[rows] if delays.size else np.full(len(rows), D), events)
+    spans = delays[rows] if delays.size else np.full(len(rows), D)
+    u_star = np.zeros((len(rows), plant.m))
+    if plant.rests:
+        u_star[:] = settable.targets(plant, simulation.course, rows * of.dt)[1]
+    for goal in np.unique(u_star, axis=0):
+        chosen = (u_star == goal).all(axis=1)
+        out.energy[chosen, 0] = _energy(of, rows[chosen], spans[chosen], events, goal)
     status = one.status
     return out, OnAClock(
         X_hat=events.X_hat[..., 0], age=events.age_then[:, 0], handed_over=events.handed_over[:, 0].astype(bool),
@@ -130,10 +140,9 @@ def _events(simulation: Simulation, number: int, outputs: int, past: inputs.Past
     return Events(**memory, sample_count=len(plan.taken), tells=int(timing.tells))
 
 
-def _energy(of: Loop, rows: np.ndarray, D: np.ndarray, events: Events) -> np.ndarray:
-    """∫ |U - U*|² over the true delay D (rows,) at control steps, of the commands that reached the actuator."""
+def _energy(of: Loop, rows: np.ndarray, D: np.ndarray, events: Events, u_star: np.ndarray) -> np.ndarray:
+    """∫ |U - u_star|² over the true delay D (rows,) at control steps, of the commands that reached the actuator."""
     count = int(events.sent_count[0])
-    u_star = of.plant.u_equilibrium if of.plant.rests else np.zeros(of.plant.m)
     at, square = events.sent_at[:count], (events.sent[:count] - u_star) ** 2
     ends = np.append(at, max(at[-1] + 1.0, float(len(events.skipped))))
     total = np.concatenate([np.zeros((1, of.plant.m)), np.cumsum(square * np.diff(ends)[:, None], axis=0)])

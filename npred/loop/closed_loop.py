@@ -12,7 +12,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.progress import announce, counted, quiet
 from npred.estimation.delay_law import DelayLaw
-from npred.loop import clocked, engine, loop_checks
+from npred.loop import clocked, engine, loop_checks, settable
 from npred.loop.loop import Loop, LoopParts
 from npred.loop.simulation import Simulation
 from npred.loop.trajectories import Samples, Trajectories, of_record
@@ -35,6 +35,10 @@ def simulate(
     kappa_j(P(r_j), t + r_j D_hat). A DelayLaw that you write runs in Python. If a loop overflows, the rest of it is
     NaN; the other loops are not affected. Where commands would overtake each other, a loop of a plant that declares its
     delay is marked (`infeasible`) and ends.
+
+    `setpoints`, {"aim": ([10.0, 20.0], [1.0, 2.0])} say, are parameters that are set while the loop runs, as
+    `controller.set` does it and at the same moment in the simulated plant, where it has them. kappa does not know them
+    beforehand. N and energy are those of the set-point of the time.
 
     Without a predictor the loop is open, U = 0. With D_hat = 0 there is no prediction, U = kappa(X, t). A plant that
     declares its delay takes no other D_hat.
@@ -71,8 +75,8 @@ def simulate(
         True shows a bar, in a terminal or a notebook; a function gets the number of loop steps done; by default a
         line on stderr says so if loops take longer than a second.
     **parts
-        The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, safety,
-        integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
+        The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, setpoints,
+        safety, integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
 
     Returns
     -------
@@ -136,6 +140,8 @@ def run(
     method, limits = loop_checks.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
     complete = replace(loop, D=D, D_hat=D_hat, X0=X0, adaptation=law, input_bounds=limits)
+    if loop.setpoints and loop.predictor is None:
+        raise ConfigError("setpoints: expected a predictor, for U = 0 leads nowhere, got None; give one, or drop them")
     one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, loop.blind, past, steps, delays)
     loop_checks.history(plant, one.reach(slice(None))[1], dt)
     with quiet() if progress is False else nullcontext():
@@ -143,7 +149,11 @@ def run(
     with _counted(progress, len(D), one.count) as count:
         record, clock = clocked.run(one, count) if loop.on_a_clock else (one.run(count), None)
     ends = law.ends(dt) if law and loop.predictor else None
-    return of_record(record, shape, dt * every, one.count, plant, loop.real, loop.predictor, ends, clock)
+    run = of_record(record, shape, dt * every, one.count, plant, loop.real, loop.predictor, ends, clock)
+    if not loop.setpoints:
+        return run
+    X, U = settable.targets(plant, one.course, run.t)
+    return replace(run, target=X, u_target=U)
 
 
 def _declared(plant: Plant, X0: np.ndarray) -> np.ndarray:

@@ -4,23 +4,25 @@ import math
 import operator
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, Unpack
 
 import numpy as np
 
+from npred import plants
 from npred.base import array_checks, source_lines
-from npred.base.errors import ConfigError, DivergedError
+from npred.base.errors import ConfigError, DivergedError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import say
 from npred.estimation.delay_law import DelayLaw, Part, part
-from npred.loop import control_step, engine, loop_checks, signals
+from npred.loop import control_step, engine, loop_checks, settable, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
 from npred.loop.loop import REALITY, ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.timing import ROUNDING, SNAP, snapped
-from npred.plants import inputs
+from npred.plants import inputs, setpoint
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, Predictor
@@ -197,7 +199,7 @@ class Controller(InNotebook):
             reads_commands=self._reads_commands, stores_commands=self._reads_commands,
             gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
             observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
-            output_count=len(self.outputs), bounds=law.bounds, p=plant.p, truth_p=plant.p, ratios=plant.ratios,
+            output_count=len(self.outputs), bounds=law.bounds, p=plant.p.copy(), truth_p=plant.p, ratios=plant.ratios,
             input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float), law=law.settings,
             guard=np.zeros(0) if guard is None else guard,
             reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), **parts,
@@ -228,6 +230,43 @@ class Controller(InNotebook):
         self._set_state(self.D_hat, None, 0, seconds)
         self._clock.forget()
         self.memory.missed[0] = 0.0
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The plant's parameters as the next step reads them, a copy; see `set`."""
+        return dict(zip(self.plant.parameters, self.settings.p.tolist(), strict=False))
+
+    @cached_property
+    def fixed(self) -> dict[str, str]:
+        """Why a parameter cannot be set, by its name."""
+        return settable.fixed(self.plant, self.predictor)
+
+    def set(self, **parameters: float) -> None:
+        """Set parameters of the plant, a set-point say, that the controller reads from the next step on.
+
+        Where the plant declares `setpoint`, its rest X*, U* follows by Newton's steps from the last one, to which a law
+        of npred.laws then leads; its gains stay those of the set-point that was declared. In that step U moves by no
+        more than kappa(P) does between the two set-points, besides what it moves in any step. `controller.plant` stays
+        as it was declared; `state()` has what was set, and an export begins with it.
+
+        Parameters
+        ----------
+        **parameters : float
+            New values by name; all, or none of them is set.
+
+        Raises
+        ------
+        ConfigError
+            For an unknown name, a value that is not finite, a parameter that a network was trained with, or a law
+            designed, and a set-point without a rest within the input bounds. Then all stays as it was.
+        """
+        free = [name for name in self.plant.parameters if name not in self.fixed]
+        for name, value in parameters.items():
+            if name not in self.plant.parameters:
+                raise ConfigError(unlisted("set", name, free, "a parameter,"))
+            array_checks.finite(f"set: {name}", np.array(array_checks.number(f"set: {name}", value)))
+        bounds = self.settings.input_bounds
+        self.settings.p[:] = setpoint.changed(self.plant, self.settings.p, parameters, self.fixed, bounds)
 
     @property
     def u0(self) -> np.ndarray:
@@ -358,7 +397,8 @@ class Controller(InNotebook):
         return self._last_U
 
     def state(self) -> dict[str, Any]:
-        """Its state, ready for JSON: D_hat, phi of the last step, and the steps done since t0."""
+        """Its state, ready for JSON: D_hat, phi of the last step, the steps done since t0, and, as it has
+        them, commands, observers and parameters."""
         z = self.memory
         phi = float(z.phi_before[0])
         remembered: dict[str, Any] = {}
@@ -373,6 +413,8 @@ class Controller(InNotebook):
             remembered["plan"] = z.plan[:, 0].tolist()
         if self._watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
+        if self.plant.p_names:
+            remembered["parameters"] = self._numbers
         rate = None if math.isnan(phi) else phi
         return {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0} | remembered
 
@@ -395,6 +437,7 @@ class Controller(InNotebook):
     def fresh(self) -> "Controller":
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         other = type(self)(self.loop)
+        other.settings.p[:] = self.settings.p
         other._set_state(self.D_hat, None, 0, self.t)
         return other
 
@@ -454,8 +497,11 @@ class Controller(InNotebook):
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
         span = np.array([self._first_D_hat])
+        plant = self.plant
+        if self.parameters != plant.parameters:  # kappa is that of what was set
+            plant = plants.varied(plant, tuple(self.parameters.items()))
         limits = self.settings.input_bounds if self._by_law else self._loop.input_bounds
-        return inputs.past(self.plant, self._loop.u0, limits, X[None], span)
+        return inputs.past(plant, self._loop.u0, limits, X[None], span)
 
     def _reset_clock(self, k: int | None = None, calls: int = 0) -> None:
         """Set the clock before the call of control step k, the first by default."""
@@ -463,6 +509,11 @@ class Controller(InNotebook):
         X_hat = self.memory.filter[: self.plant.n, 0] if self.observer else None
         last = self.memory.held[(k - 1) % len(self.memory.held), :, 0]
         self._clock.start(k, last, self.plant.ratios * self.D_hat, X_hat, calls)
+
+    @property
+    def _numbers(self) -> dict[str, float]:
+        """All that the plant's functions read as p, by name."""
+        return dict(zip(self.plant.p_names, self.settings.p.tolist(), strict=True))
 
     @property
     def _next(self) -> int:
@@ -501,6 +552,7 @@ class Controller(InNotebook):
         z = self.memory
         commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
         missed, clock = state.get("missed", 0), state.get("clock")
+        parameters = state.get("parameters", self._numbers)
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
         try:
             k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
@@ -508,14 +560,18 @@ class Controller(InNotebook):
             fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
             filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
             plan = np.array(state.get("plan", np.zeros(len(z.plan))), dtype=float)
+            if parameters != (before := self._numbers):
+                fits = fits and [*parameters] == [*before] and np.isfinite([*parameters.values()]).all()
+                fits = fits and all(parameters[name] == before[name] for name in self.fixed)
             for one, memory in ((filtered, z.filter), (plan, z.plan)):
                 fits = fits and one.shape == memory[:, 0].shape and np.isfinite(one).all()
             if clock is not None:
                 Clock(self.plant.n, self.plant.m, len(self.outputs)).restore(clock)
-        except (KeyError, TypeError, ValueError):
+        except (AttributeError, KeyError, TypeError, ValueError):
             fits = False
         if not fits:
             raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
+        self.settings.p[:] = [*parameters.values()]
         z.observer[:, 0], z.filter[:, 0], z.plan[:, 0], z.missed[0] = observer, filtered, plan, missed
         held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
         self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))

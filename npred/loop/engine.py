@@ -33,7 +33,7 @@ def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
     real = ctypes.c_double
     signatures: dict[str, tuple[list[Any], Any]] = {
         "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
-        "run_clocked": ([INDEX, INDEX, *(POINTER,) * 7], None),
+        "run_clocked": ([INDEX, INDEX, INDEX, *(POINTER,) * 7], None),
         "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
         "spread": ([POINTER, POINTER], real),
         "replaced": ([POINTER, POINTER], None),
@@ -102,10 +102,10 @@ class Engine:
         loaded(LOOP).run(self._shape, origin, start, stop, *self._passed, flag, self._scratch)
         self._failure.raised()
 
-    def run_clocked(self, start: int, stop: int) -> None:
-        """Control steps start … stop - 1 of a loop on its own clock."""
+    def run_clocked(self, start: int, stop: int, count: int) -> None:
+        """Control steps start … stop - 1, of `count`, of a loop on its own clock."""
         flag = ctypes.addressof(self._failure.flag)
-        loaded(ON_A_CLOCK).run_clocked(self._shape, start, stop, *self._passed, flag, self._scratch)
+        loaded(ON_A_CLOCK).run_clocked(self._shape, start, stop, count, *self._passed, flag, self._scratch)
         self._failure.raised()
 
     def call(self, t: float, gap: float, came: bool, age: float) -> int:

@@ -48,6 +48,7 @@ class Loop:
     measurement: Measurement = PERFECT  #: what the controller sees of X
     truth: Plant | None = None  #: the simulated plant, if it is not the controller's model
     disturbance: Callable[[float], Any] | None = None  #: added to the plant's input, (m,) or (..., m), by the time
+    setpoints: Any = None  #: {parameter: (times, values)}, set from the first control step at or after each time on
     timing: Timing | None = None  #: clock of the calls and commands
     integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
 
@@ -104,6 +105,7 @@ class LoopParts(ControllerParts, total=False):
     measurement: Measurement | None
     truth: Plant | None
     disturbance: Callable[[float], Any] | None
+    setpoints: Any
     timing: Timing | None
     integrator: str
 

@@ -71,10 +71,15 @@ def arrival(plant: Plant, X: np.ndarray, t: Any, D: Any) -> np.ndarray:
     return s
 
 
+def target(plant: Plant, loops: Trajectories) -> np.ndarray:
+    """X* of the loops of a plant, (n,), or (nt, n) where it moves: by a reference, or by set-points."""
+    return plant.target(loops.t) if loops.target is None else loops.target
+
+
 def radius(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
     """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that left the finite numbers.
 
-    Here and below X* is (n,), or (nt, n) for a plant that tracks: `plant.target(loops.t)`.
+    Here and below X* is (n,), or (nt, n) for a plant that tracks, or whose set-point moves: `target(plant, loops)`.
     """
     rows = loops.t >= (1 - TAIL) * loops.t[-1]
     X_star = np.asarray(X_star)

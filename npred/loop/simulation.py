@@ -1,5 +1,6 @@
 """One simulation: the parts of a control step on lanes, and chunks of loops that run side by side."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -9,12 +10,13 @@ import numpy as np
 
 from npred.base import devices
 from npred.estimation.delay_law import Part, part
-from npred.loop import engine, loop_checks, signals
+from npred.loop import engine, loop_checks, settable, signals
 from npred.loop import measurement as sensing
 from npred.loop.actuator import history
 from npred.loop.engine import Engine
 from npred.loop.loop import Loop
 from npred.loop.signals import Record, Settings, State
+from npred.loop.timing import SNAP
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -54,6 +56,32 @@ class Simulation:
         return law._replace(control=ConstantDelay(self.loop.plant).control(RK4.step)) if self.blind else law
 
     @cached_property
+    def course(self) -> list[settable.Piece]:
+        """The set-points, the declared one first."""
+        loop = self.loop
+        if not loop.setpoints or loop.predictor is None:
+            return [settable.Piece(-math.inf, loop.plant.p, {})]
+        cannot, bounds = settable.fixed(loop.plant, loop.predictor), inputs.widest(loop.plant, loop.input_bounds)
+        return settable.course(loop.plant, loop.setpoints, cannot, bounds)
+
+    @cached_property
+    def begins(self) -> dict[int, settable.Piece]:
+        """The control step from which each of them holds; of several at one the last."""
+        starts = [(max(math.ceil(piece.start / self.loop.dt - SNAP), 0), piece) for piece in self.course[1:]]
+        return {k: piece for k, piece in starts if k < self.count}
+
+    def begin(self, k: int, settings: Settings) -> None:
+        """Set in these settings what is set at control step k."""
+        if piece := self.begins.get(k):
+            plant, names = self.loop.plant, list(self.loop.real.parameters)
+            settings.p[:] = piece.p
+            for name, value in piece.values.items():
+                if name in names:
+                    settings.truth_p[names.index(name)] = value
+            if plant.rests and settings.u_star.size:
+                settings.u_star[:] = piece.target(plant, np.array([k * self.loop.dt]))[1][0]
+
+    @cached_property
     def pushes(self) -> np.ndarray:
         """The disturbance in the middle of each control step, (steps, m, 1 or B), or (0, m, 0) without one."""
         m = self.loop.plant.m
@@ -82,7 +110,9 @@ class Simulation:
         steps = Engine(self.parts, settings, self._state(c, held, total), out)
         if progress:
             progress(0)
-        for start, stop in pairwise([0, *range(min(FIRST, self.count), self.count, BLOCK), self.count]):
+        stops = {0, *range(min(FIRST, self.count), self.count, BLOCK), self.count, *self.begins}
+        for start, stop in pairwise(sorted(stops)):
+            self.begin(start, settings)
             with devices.one_thread():
                 steps.run(origin, start, stop)
             if progress:
@@ -155,9 +185,9 @@ class Simulation:
             disturbed=pushes.shape[2],
             bounds=self.law.bounds,
             input_bounds=np.ascontiguousarray(loop.input_bounds, dtype=float),
-            u_star=np.ascontiguousarray(plant.u_equilibrium if plant.rests else np.zeros(plant.m), dtype=float),
-            p=plant.p,
-            truth_p=loop.real.p,
+            u_star=np.array(plant.u_equilibrium if plant.rests else np.zeros(plant.m), dtype=float),
+            p=plant.p.copy(),
+            truth_p=loop.real.p.copy(),
             ratios=plant.ratios,
             law=self.law.settings,
             guard=np.zeros(0) if guard is None else guard,

@@ -63,7 +63,8 @@ class Trajectories:
     U was changed, likewise, and `changes` (...) in how many steps; in `unkept` (...) it found no plan to keep limits;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
-    loops on a real clock add, else None.
+    loops on a real clock add, else None. `target` (nt, n) and `u_target` (nt, m) are X* and U* of the set-points of the
+    time, None without `setpoints`.
     print(loop) gives the ranges and ends of all series.
     """
 
@@ -93,6 +94,8 @@ class Trajectories:
     ends: tuple[float, float] | None = None
     clock: OnAClock | None = None
     limits: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    target: np.ndarray | None = None
+    u_target: np.ndarray | None = None
 
     @cached_property
     def safety(self) -> np.ndarray | None:

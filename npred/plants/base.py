@@ -14,7 +14,9 @@ from npred.formulas import Array, Value, array_math, programs
 from npred.formulas.declared import Components, call
 from npred.formulas.tape import Functions, names
 from npred.formulas.trace import Trace, python
+from npred.kernels.kernel import Kernel
 from npred.plants import declaration as declared
+from npred.plants import setpoint
 
 REST = 1e-9  # residual relative to the derivative of f times max(1, |X|), below which X rests
 
@@ -29,8 +31,9 @@ class Plant(InNotebook):
     and damping of M q'' = force - damping q', for the method semi_implicit), what figures write: `labels` and `units`
     (by state or input), `time_unit` ("s" by default) and `figure` (that of an article which the evaluated loop is),
     and, where f or kappa depends on time, `reference(t, p, M)`, the trajectory that kappa follows, and `period`, the
-    time after which they repeat. M provides the functions: sin, exp, where … A law `kappa` that is passed takes the
-    place of the declaration's.
+    time after which they repeat; or `setpoint(x, t, p, M)`, one value per input, all 0 where it is to rest: then
+    kappa may read that rest, as p.rest_<state> and p.rest_<input>. M provides the functions: sin, exp, where … A law
+    `kappa` that is passed takes the place of the declaration's.
 
     Raises ConfigError for a declaration with a part that is missing or wrong, or a parameter that it does not have.
     """
@@ -51,8 +54,11 @@ class Plant(InNotebook):
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
         self.declares_mechanics, self.declares_rollout = parts.mechanics is not None, parts.rollout is not None
         self.declares_output, self.outputs = parts.output is not None, parts.outputs or parts.states
-        self.declares_safe = parts.safe is not None
-        self.states, self.inputs, self.parameters, self.box = parts.states, parts.inputs, parts.parameters, parts.box
+        self.declares_safe, self.declares_setpoint = parts.safe is not None, parts.setpoint is not None
+        self.states, self.inputs, self.box = parts.states, parts.inputs, parts.box
+        self.parameters = setpoint.ReadOnly(parts.parameters)
+        rest = setpoint.of_rest(self.states, self.inputs) if self.declares_setpoint else ()
+        self.p_names = (*self.parameters, *rest)  # of all numbers that its functions read as p
         guess = getattr(kappa, "guess", parts.guess)  # a law that was designed has that of its rest
         self.guess = np.zeros(self.n) if guess is None else np.array(guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -106,8 +112,14 @@ class Plant(InNotebook):
 
     @cached_property
     def p(self) -> np.ndarray:
-        """The parameters' values in the order of their declaration."""
-        return np.array(list(self.parameters.values()), dtype=float)
+        """The parameters' values in the order of their declaration, then the rest of a declared set-point."""
+        p = np.array(list(self.parameters.values()), dtype=float)
+        return np.append(p, setpoint.first(self, p)) if self.declares_setpoint else p
+
+    @cached_property
+    def settle(self) -> Kernel:
+        """The search for the rest of a set-point (npred.plants.setpoint)."""
+        return setpoint.kernel(self)
 
     def time_text(self, time: float, form: str = "g") -> str:
         """A time of the plant's clock with its unit: 0.01 h."""
@@ -183,7 +195,7 @@ class Plant(InNotebook):
         self._fits(X, u)
         x = [X[..., k] for k in range(self.n)]
         inputs = None if u is None else [u[..., k] for k in range(self.m)]
-        return self.call(name, x, inputs, t, list(self.parameters.values()), array_math.of(X))
+        return self.call(name, x, inputs, t, self.p.tolist(), array_math.of(X))
 
     def _fits(self, X: Array | None = None, u: Array | None = None) -> None:
         """Raise ConfigError unless the last axes of X and u are of the plant's sizes."""
@@ -194,14 +206,15 @@ class Plant(InNotebook):
 
     @cached_property
     def equilibrium(self) -> np.ndarray:
-        """X* with f(X*, kappa(X*)) = 0 to machine precision, shape (n,), by Newton's method from `guess`.
+        """X* with f(X*, kappa(X*)) = 0 to machine precision, shape (n,), by Newton's method from `guess`, or from its
+        set-point's rest.
 
         Raises ConfigError where it finds none, or where the plant depends on time: that one tracks, see `rests`.
         """
         if not self.rests:
             got = "f or kappa depends on time; it only tracks"
             raise ConfigError(f"plant {self.name}: expected an equilibrium, but {got}")
-        X = self.guess.copy()
+        X = self.p[-self.n - self.m : -self.m].copy() if self.declares_setpoint else self.guess.copy()
         g, J = self._at_rest(X)
         for _ in range(100):
             if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
@@ -248,7 +261,7 @@ class Plant(InNotebook):
         """Raise ConfigError unless M(q) v' = force - damping v gives the accelerations of f near `guess`."""
         draws = np.random.default_rng(0)
         X, u = self.guess + draws.standard_normal((8, self.n)), draws.standard_normal((8, self.m))
-        p, columns = list(self.parameters.values()), [*X.T]
+        p, columns = self.p.tolist(), [*X.T]
         trace = Trace(self)
         at = trace.mechanics(*trace.symbols())
         inertia, force, damping = self.call("mechanics", columns, [*u.T], 0.0, p, array_math.NUMPY)
@@ -290,7 +303,7 @@ class Plant(InNotebook):
         """
         trace = Trace(self)
         x, u, t = trace.symbols()
-        f, rest = trace.f(x, u, t), ["t", *names("p", len(self.p))]
+        f, rest = trace.f(x, u, t), ["t", *names("p", len(self.p_names))]
         of_f, of_kappa = [*names("x", self.n), *names("u", self.m), *rest], [*names("x", self.n), *rest]
         parts = {"f_x": (f, x, of_f), "f_u": (f, u, of_f)}
         parts |= {"kappa_x": (trace.kappa(x, t), x, of_kappa)} if self.declares_kappa else {}
@@ -384,6 +397,7 @@ class Plant(InNotebook):
         """The text of each function, as its trace prints it: equal formulas have equal texts."""
         functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
         functions += ["reference"] if self.tracks else []
+        functions += ["setpoint"] if self.declares_setpoint else []
         return {name: self.printed(name) for name in functions}
 
     def printed(self, name: str) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
 from npred.base.errors import ConfigError, similar, unlisted
+from npred.plants import setpoint
 
 NAME = re.compile(r"\w[\w., -]{0,99}")
 LONGEST = 40  # letters of a label or a unit
@@ -116,6 +117,7 @@ class Declaration(BaseModel, frozen=True):
     output: Function | None = None
     outputs: Names | None = None
     safe: Function | None = None
+    setpoint: Function | None = None
     parameters: Parameters = {}
     box: Box = {}
     guess: Values | None = None
@@ -144,6 +146,12 @@ class Declaration(BaseModel, frozen=True):
         if self.outputs and not self.output:
             cure = "write it, or drop outputs"
             raise ValueError(f"outputs: expected output(x, t, p, M), which gives them, got none; {cure}")
+        if self.setpoint and self.reference:
+            both = "expected one of them, got both; drop the one that kappa does not lead to"
+            raise ValueError(f"setpoint, reference: {both}")
+        for name in setpoint.of_rest(self.states, self.inputs) if self.setpoint else ():
+            if name in self.parameters:
+                raise ValueError(f"parameters: {name} is what setpoint gives, expected another name; rename it")
         quantities = (*self.states, *self.inputs, *(self.outputs or ()))
         allowed = {"box": self.states, "state_bounds": self.states, "labels": quantities, "units": quantities}
         for part, names in allowed.items():

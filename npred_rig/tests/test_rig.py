@@ -163,6 +163,27 @@ def test_identify_reads_the_log_and_finds_the_delay(start, tmp_path):
     assert low - 0.02 <= json.loads(out)["delay"] <= high + 0.02  # a control step beside the 95 %
 
 
+SERVO = """
+class Servo:
+    states, inputs, parameters, box = ("x",), ("u",), {"aim": 0.0}, {"x": (-2.0, 2.0)}
+    def f(x, u, t, p, M):
+        return [u.u - x.x]
+    def setpoint(x, t, p, M):
+        return [x.x - p.aim]
+"""
+
+
+def test_it_steps_the_set_points_of_the_table(start, tmp_path):
+    """Its distance at the end is that to the last one."""
+    (tmp_path / "servo.py").write_text(SERVO)
+    table = PIPELINE.replace('"scalar"', '"servo.py:Servo"\nkappa = "lqr"')
+    (tmp_path / "short.toml").write_text(table + "setpoints.aim = { at = [3.0], to = [1.5] }\n")
+    process = start("--seconds", "9", "--delay", "0.05")
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert json.loads(out)["radius"] < 0.15
+
+
 PENDULUM = """
 class Pendulum:
     states, inputs, outputs = ("theta", "omega"), ("torque",), ("angle",)

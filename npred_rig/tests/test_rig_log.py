@@ -7,9 +7,11 @@ import pytest
 
 import npred
 from npred.lab.report import figures
+from npred.loop.settable import course
 from npred_rig import log
 
 PLANT, DT = npred.plant("scalar"), 0.01
+COURSE = course(PLANT, {})
 LATE = 1e-4
 
 
@@ -34,7 +36,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_the_summary_counts_what_is_in_the_log(path):
-    said = log.summary(PLANT, log.read(path), DT)
+    said = log.summary(PLANT, COURSE, log.read(path), DT)
     assert (said["calls"], said["skipped"], said["refused"]) == (99, 1, 3)
     assert (said["samples"], said["samples_lost"], said["samples_reordered"]) == (49, 1, 1)
     assert (said["D_hat"], said["D_hat_spread"], said["delay"]) == (0.3, 0.01, 0.29)
@@ -50,7 +52,7 @@ def test_the_summary_counts_what_is_in_the_log(path):
 def test_a_plant_that_left_the_finite_numbers_has_no_radius(path, lost):
     *rows, last, why = path.read_text().splitlines()
     path.write_text("\n".join([*rows, ",".join([*last.split(",")[:-1], lost]), why]) + "\n")
-    assert log.summary(PLANT, log.read(path), DT)["radius"] is None
+    assert log.summary(PLANT, COURSE, log.read(path), DT)["radius"] is None
 
 
 def test_a_log_that_was_cut_says_no_reason(path):

@@ -96,8 +96,10 @@ void npred_init(npred_controller *self)
 #if FILTERS
     npred_set(NPRED_FILTER, the_filter, self->saved.filter);
 #endif
+#if SETS
+    npred_set(NPRED_NUMBERS, the_p, self->saved.p);
+#endif
 #if TUNABLE
-    npred_set(NPRED_PARAMETERS, the_p, self->settings.p);
     npred_set(NPRED_GUARD, the_guard, self->settings.guard);
     self->settings.gamma_dt = the_settings.gamma_dt;
 #endif
@@ -146,6 +148,9 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
     fits = fits && state->clock[AT] >= NPRED_ROWS - 2 && state->clock[AT] < 2 * NPRED_ROWS;
     fits = fits && isfinite(state->clock[LAG]);
 #endif
+#if SETS
+    fits = fits && all_finite(NPRED_NUMBERS, state->p);
+#endif
 #if FILTERS
     fits = fits && all_finite(NPRED_FILTER, state->filter);
 #endif
@@ -163,6 +168,50 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
     return NPRED_OK;
 }
 
+#if SETS
+int npred_set_parameters(npred_controller *self, const npred_real *values)
+{
+    npred_real p[NPRED_NUMBERS];
+    int same = 1;
+    memcpy(p, self->saved.p, sizeof p);
+    for (int i = 0; i < NPRED_PARAMETERS; i++) {
+        same = same && p[the_places[i]] == values[i];
+        p[the_places[i]] = values[i];
+    }
+    if (same || !all_finite(NPRED_PARAMETERS, values)) {
+        return same ? NPRED_OK : NPRED_SETPOINT_REFUSED;
+    }
+#if SETTLES
+    npred_real rest[NPRED_N_STATES + NPRED_M_INPUTS], arrived[1];
+    memcpy(rest, p + NPRED_NUMBERS - NPRED_N_STATES - NPRED_M_INPUTS, sizeof rest);
+    the_settle(the_shape, p, rest, arrived, NULL);
+    int fits = arrived[0] > 0 && all_finite(NPRED_N_STATES + NPRED_M_INPUTS, rest);
+    for (int i = 0; i < NPRED_M_INPUTS; i++) {
+        const npred_real U = rest[NPRED_N_STATES + i];
+        fits = fits && U >= the_input_bounds[2 * i] && U <= the_input_bounds[2 * i + 1];
+    }
+    if (!fits) {
+        return NPRED_SETPOINT_REFUSED;
+    }
+    memcpy(p + NPRED_NUMBERS - NPRED_N_STATES - NPRED_M_INPUTS, rest, sizeof rest);
+#endif
+    memcpy(self->saved.p, p, sizeof p);
+    return NPRED_OK;
+}
+
+/* One of the parameters that can be set, by its number among them. */
+static int npred_set_one(npred_controller *self, int number, npred_real value)
+{
+    npred_real values[NPRED_PARAMETERS];
+    for (int i = 0; i < NPRED_PARAMETERS; i++) {
+        values[i] = i == number ? value : self->saved.p[the_places[i]];
+    }
+    return npred_set_parameters(self, values);
+}
+
+#include "set.h"
+
+#endif
 int npred_set_D_hat(npred_controller *self, npred_real D_hat)
 {
     if (!npred_within(D_hat)) {
@@ -202,8 +251,10 @@ static int npred_call(npred_controller *self, double t, double gap, const npred_
     const npred_real now = (npred_real)t;
 #endif
     Settings settings = the_settings;
+#if SETS
+    settings.p = self->saved.p;
+#endif
 #if TUNABLE
-    settings.p = self->settings.p;
     settings.gamma_dt = self->settings.gamma_dt;
     settings.guard = self->settings.guard;
 #endif
@@ -311,7 +362,7 @@ int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_re
 #include "test.h"
 
 enum { TEST_SAMPLED = 1, TEST_STAMPED = 2, TEST_APPLIED = 4, TEST_SAVED = 8, TEST_ESTIMATE = 16, TEST_TIME = 32,
-       TEST_ANEW = 64 };
+       TEST_ANEW = 64, TEST_SET = 128 };
 
 /* Call s of the test. Gives its code. */
 static int test_call(npred_controller *c, int s, npred_real *U)
@@ -328,6 +379,11 @@ static int test_call(npred_controller *c, int s, npred_real *U)
     if (does & TEST_ANEW) {
         npred_init(c);
     }
+#if SETS
+    if (does & TEST_SET) {
+        test_set(c);
+    }
+#endif
     if (does & TEST_SAVED) {
         npred_get_state(c, &saved);
         npred_init(c);

@@ -22,7 +22,8 @@ enum {
     NPRED_MEASUREMENT_NOT_FINITE = 1, /* hold the last U, which the state has as sent, and measure again */
     NPRED_PREDICTION_NOT_FINITE = 2,  /* likewise */
     NPRED_STATE_REFUSED = 3,          /* of another controller, or out of range; the state stands as before */
-    NPRED_DELAY_TOO_LONG = 4          /* for the commands that are kept; likewise hold the last U */
+    NPRED_DELAY_TOO_LONG = 4,         /* for the commands that are kept; likewise hold the last U */
+    NPRED_SETPOINT_REFUSED = 5        /* not finite, or without a rest within the bounds of U; the old one stays */
 };
 
 /* What a step remembers. */
@@ -48,6 +49,9 @@ typedef struct {
 #if PROTECTS
     npred_real plan[NPRED_PLAN];
 #endif
+#if SETS
+    npred_real p[NPRED_NUMBERS]; /* the parameters, and the rest of a set-point */
+#endif
 } npred_saved;
 
 /* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
@@ -72,7 +76,7 @@ typedef struct {
 #endif
 #if TUNABLE
     struct {
-        npred_real p[NPRED_PARAMETERS], gamma_dt, guard[NPRED_GUARD];
+        npred_real gamma_dt, guard[NPRED_GUARD];
     } settings; /* set by npred_init */
 #endif
     npred_real work[NPRED_WORK];
@@ -99,6 +103,13 @@ int npred_set_state(npred_controller *self, const npred_saved *state);
 int npred_set_D_hat(npred_controller *self, npred_real D_hat); /* go on from an estimate, as from a first step */
 int npred_set_time(npred_controller *self, double t); /* go on from another time, likewise */
 const char *npred_version(void);
+#if SETS
+/* Set parameters of plant and law, from the next step on: all that can be set, in the order of the functions below. The
+ * rest of a set-point follows. NPRED_OK, or NPRED_SETPOINT_REFUSED: then all stays. npred_init sets the first values. */
+int npred_set_parameters(npred_controller *self, const npred_real *values);
+/* The same for one of them, which may be the set-point. */
+#include "setters.h"
+#endif
 #if KEEPS_COMMANDS
 /* What the actuator got since the last step, where that was not its U, or not the one that was held. */
 int npred_applied(npred_controller *self, const npred_real *U);

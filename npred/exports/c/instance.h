@@ -161,6 +161,33 @@ static int settable(Instance *self, const Variable *v, const double *values)
     return OK;
 }
 
+static void copy_in(npred_real *to, const double *from, int numbers)
+{
+    for (int i = 0; i < numbers; i++) {
+        to[i] = (npred_real)from[i];
+    }
+}
+
+#ifdef AT_PARAMETERS
+/* Set the parameters among these values in the controller, all or none. */
+static int set_parameters(Instance *self, const uint32_t *references, size_t many, const double *values)
+{
+    npred_real p[NPRED_PARAMETERS];
+    copy_in(p, self->now.values + AT_PARAMETERS, NPRED_PARAMETERS);
+    for (size_t i = 0; i < many; values += variables[references[i]].size, i++) {
+        const int place = variables[references[i]].first - AT_PARAMETERS;
+        if (place >= 0 && place < NPRED_PARAMETERS) {
+            p[place] = (npred_real)values[0];
+        }
+    }
+    if (npred_set_parameters(&self->controller, p) == NPRED_OK) {
+        return OK;
+    }
+    return report(self, DISCARD, "set: expected a set-point with a rest within the bounds of U, got another; the old one "
+                                 "stays");
+}
+#endif
+
 static int set_values(Instance *self, const uint32_t *references, size_t many, const double *values, size_t size)
 {
     if (count(references, many, 0) != (long long)size) {
@@ -173,6 +200,12 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
             return status;
         }
     }
+#ifdef AT_PARAMETERS
+    const int status = set_parameters(self, references, many, values);
+    if (status != OK) {
+        return status;
+    }
+#endif
     for (size_t i = 0; i < many; values += variables[references[i]].size, i++) {
         const Variable *v = &variables[references[i]];
         memcpy(self->now.values + v->first, values, (size_t)v->size * sizeof *values);
@@ -205,13 +238,6 @@ static int exit_initialization(Instance *self)
     return code == NPRED_OK ? OK : report(self, ERROR, "start: expected a D_hat_start within its bounds, got another");
 }
 
-static void copy_in(npred_real *to, const double *from, int numbers)
-{
-    for (int i = 0; i < numbers; i++) {
-        to[i] = (npred_real)from[i];
-    }
-}
-
 static void copy_out(double *to, const npred_real *from, int numbers)
 {
     for (int i = 0; i < numbers; i++) {
@@ -226,9 +252,6 @@ static void write_inputs(Instance *self)
     copy_in(self->X, values + AT_X, NPRED_N_OUTPUTS);
 #ifdef AT_ACTUATOR
     copy_in(self->u, values + AT_ACTUATOR, NPRED_NX * NPRED_M_INPUTS);
-#endif
-#ifdef AT_PARAMETERS
-    copy_in(self->controller.settings.p, values + AT_PARAMETERS, NPRED_PARAMETERS);
 #endif
 #ifdef AT_GAMMA
     self->controller.settings.gamma_dt = (npred_real)(values[AT_GAMMA] * STEP);

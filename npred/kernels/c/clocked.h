@@ -139,8 +139,9 @@ static inline void note(Shape d, INDEX k, const Settings *s, const State *z, Eve
     }
 }
 
-/* The control steps start … stop - 1 of a loop. A part in Python that fails ends it by `failed`. */
-void run_clocked(Shape d, INDEX start, INDEX stop, const Parts *q, const Settings *s, State *z, Record *out, Events *e,
+/* The control steps start … stop - 1 of a loop of `count`, and the plant up to the call of step `stop`, or to the last of
+ * all steps. A part in Python that fails ends it by `failed`. */
+void run_clocked(Shape d, INDEX start, INDEX stop, INDEX count, const Parts *q, const Settings *s, State *z, Record *out, Events *e,
                  const volatile int *failed, double *work)
 {
     if (start == 0) {
@@ -152,5 +153,9 @@ void run_clocked(Shape d, INDEX start, INDEX stop, const Parts *q, const Setting
         }
         note(d, k, s, z, e, out);
     }
-    go(d, (double)(stop - 1), q, s, z, e, out, work);
+    const double end = stop < count ? smaller(e->at[stop], (double)stop) : (double)(stop - 1);
+    if (stop < count) {
+        take(d, end, q, s, z, e, out, work);
+    }
+    go(d, end, q, s, z, e, out, work);
 }

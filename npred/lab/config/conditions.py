@@ -18,7 +18,7 @@ from npred.lab.config.evaluate import Evaluate, Scenario
 from npred.lab.config.loop import LoopTable
 from npred.lab.config.pipeline import Generate, Pipeline
 from npred.lab.config.results import PredictorId
-from npred.loop import closed_loop, simulation
+from npred.loop import closed_loop, settable, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop
 from npred.loop.measurement import Measurement, Observer
@@ -80,6 +80,7 @@ class Condition:
             disturbance=self.disturbance or (sine if push.amplitude else None),
             measurement=Measurement(**vars(table.measurement), **noise),
             timing=table.timing and Timing(**vars(table.timing), seed=self.seed), truth=truth(plant, table),
+            setpoints=setpoints(table),
             **({} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}),
         )  # fmt: skip
         return closed_loop.run(loop if self.adapts else replace(loop, adaptation=None), self.t_end, **recorded)
@@ -124,6 +125,18 @@ def observer(table: LoopTable, plant: Plant) -> StateObserver | None:
         return None
     kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
     return kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
+
+
+def setpoints(table: LoopTable) -> dict[str, Any]:
+    """The set-points of a table as npred.simulate takes them."""
+    return {name: (course.at, course.to) for name, course in table.setpoints.items()}
+
+
+def targets(plant: Plant, table: LoopTable, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """X* and U* of a table's loops at times t (T,), (n,) and (m,), or (T, n) and (T, m) where they move."""
+    if not table.setpoints:
+        return plant.target(t), plant.u_target(t)
+    return settable.targets(plant, settable.course(plant, setpoints(table)), t)
 
 
 def truth(plant: Plant, table: LoopTable) -> Plant | None:

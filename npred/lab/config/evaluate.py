@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, StateObserver
+from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, Setpoint, StateObserver
 from npred.lab.config.section import (
     Actuator,
     Bounds,
@@ -54,6 +54,7 @@ class Scenario(Section):
     parameters_scale: Positive | None = None  #: factor of all parameters of the simulated plant
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance
+    setpoints: dict[str, Setpoint] | None = None  #: as setpoints
     actuator: Actuator | None = None  #: as actuator
     timing: Clock | None = None  #: as timing
     observer: StateObserver | None = None  #: as observer

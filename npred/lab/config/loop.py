@@ -47,6 +47,13 @@ class Disturbance(Section):
     omega: Positive = 1.0  #: in rad per unit of time; by default 1 / D
 
 
+class Setpoint(Section):
+    """A parameter of the plant that is set while a loop runs."""
+
+    at: list[Number]  #: times, rising, in seconds
+    to: list[Number]  #: its value from each of them on
+
+
 class LoopTable(Section):
     """The settings of closed loops [DAPF, eqs. 6-14].
 
@@ -86,6 +93,8 @@ class LoopTable(Section):
     observer: StateObserver | None = None
     #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
     safety: Limits | None = None
+    #: set-points while the loop runs: a parameter's times and values, as `{ aim = { at = [10.0], to = [2.0] } }`
+    setpoints: dict[str, Setpoint] = {}
     #: a disturbance of the input
     disturbance: Disturbance = Disturbance()
 

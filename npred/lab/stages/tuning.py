@@ -59,7 +59,7 @@ class Settling(NamedTuple):
         4 T. If `limited`, a loop that breaks a limit of the plant does not settle.
         effort: the mean of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
         """
-        target, t_end = plant.target(loops.t), float(loops.t[-1])
+        target, t_end = metrics.target(plant, loops), float(loops.t[-1])
         time, near = metrics.settle_time(loops, target), metrics.radius(loops, target) / metrics.size(target)
         finite = np.isfinite(loops.X).all(axis=-1).mean(axis=-1)
         settled = np.isfinite(time)
@@ -67,7 +67,8 @@ class Settling(NamedTuple):
             settled = settled & ~(loops.safety < 0).any(axis=(-2, -1))
         with np.errstate(invalid="ignore", over="ignore"):
             lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
-            effort = np.trapezoid(np.sum((loops.U - plant.u_target(loops.t)) ** 2, axis=-1), loops.t) / t_end
+            U = plant.u_target(loops.t) if loops.u_target is None else loops.u_target
+            effort = np.trapezoid(np.sum((loops.U - U) ** 2, axis=-1), loops.t) / t_end
         columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), settled
         return cls(*(a.reshape(states, -1) for a in columns))
 
@@ -190,7 +191,7 @@ def varied(plant: Plant, numbers: Mapping[str, float]) -> Plant:
 
 
 def gains(plant: Plant) -> list[str]:
-    """The parameters that kappa reads, and neither f nor the delay, the reference or the limits: a user's choice.
+    """The parameters that kappa reads, and neither f, delay, reference, setpoint nor the limits: a user's choice.
 
     Raises ConfigError for a plant whose formulas cannot be read.
     """
@@ -200,8 +201,9 @@ def gains(plant: Plant) -> list[str]:
     x, u, t = trace.symbols()
     kappa, fixed = [*trace.kappa(x, t)], [*trace.f(x, u, t), *([trace.delay(x, t)] if plant.declares_delay else [])]
     fixed += [*(trace.reference(t) if plant.tracks else []), *(trace.safe(x, t) if plant.declares_safe else [])]
+    fixed += [*trace.setpoint(x, t)] if plant.declares_setpoint else []
     names = []
-    for name, symbol in zip(plant.parameters, trace.parameters, strict=True):
+    for name, symbol in zip(plant.parameters, trace.parameters, strict=False):
         if name not in LAW and programs.depends(kappa, [symbol]) and not programs.depends(fixed, [symbol]):
             names.append(name)
     return names

@@ -86,7 +86,8 @@ def _converging(evaluation: EvaluationData) -> list[PredictorId]:
     """
     kept = []
     for predictor, loop in evaluation.loops.items():
-        target, run = evaluation.plant.target(loop.t), cast(Any, loop)  # a radius takes only t and X of Trajectories
+        target, _ = conditions.targets(evaluation.plant, evaluation.config, loop.t)
+        run = cast(Any, loop)  # a radius takes only t and X of Trajectories
         if predictor == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
             kept.append(predictor)
     return kept
@@ -100,7 +101,8 @@ def _goals(evaluation: EvaluationData, t: np.ndarray) -> dict[str, np.ndarray]:
         D, acts = (t - t) + plant.delay(plant.target(t), t), t
         for _ in range(ROUNDS):  # s = t + D(target(s), s)
             acts = t + plant.delay(plant.target(acts), acts)
-    X, u = (np.broadcast_to(goal, (len(t), goal.shape[-1])) for goal in (plant.target(t), plant.u_target(acts)))
+    both = conditions.targets(plant, evaluation.config, t)[0], conditions.targets(plant, evaluation.config, acts)[1]
+    X, u = (np.broadcast_to(goal, (len(t), goal.shape[-1])) for goal in both)
     return dict(zip((*plant.states, *plant.inputs, "D_hat"), (*X.T, *u.T, D), strict=True))
 
 
@@ -127,7 +129,8 @@ def _over_time(plant: Plant, t: np.ndarray, values: dict[PredictorId, np.ndarray
 def ends(evaluation: EvaluationData) -> list[Panel]:
     """The distance to rest, and W(t) of the stability proof where the update law runs, along the loops of figure1."""
     plant, config, t = evaluation.plant, evaluation.config, evaluation.loops[NUMERICAL].t
-    distance = {c: np.linalg.norm(loop.X - plant.target(loop.t), axis=1) for c, loop in evaluation.loops.items()}
+    goal = conditions.targets(plant, config, t)[0]
+    distance = {c: np.linalg.norm(loop.X - goal, axis=1) for c, loop in evaluation.loops.items()}
     last = "; ".join(f"{predictor.label} {values[-1]:.1e}" for predictor, values in distance.items())
     title = with_unit("distance |X − X*|", common_unit(plant, plant.states))
     alt = f"Over {plant.time_text(t[-1])} on a logarithmic scale; at the end: {last}."

@@ -116,7 +116,11 @@ def compare(
     times = timing.sample({name: bench.call(reference, run) for name, run in named.items()}, CALLS, SECONDS)
     rows = []
     for name, run in named.items():
-        eps, target, us = reference.errors(run, run.nx), plant.target(loops[name].t), timing.quantiles(times[name])
+        eps, target, us = (
+            reference.errors(run, run.nx),
+            metrics.target(plant, loops[name]),
+            timing.quantiles(times[name]),
+        )
         radius, settle_time = (metric(loops[name], target) for metric in (metrics.radius, metrics.settle_time))
         converged, settles = float(np.mean(metrics.converged(radius, target))), float(np.median(settle_time))
         largest = float(np.max(radius))

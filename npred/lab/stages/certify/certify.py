@@ -60,7 +60,7 @@ def run(job: Job) -> Certified:
         for network, values in errors.items():
             file[network.name] = values
     models = {network: Certificate(**row) for network, row in rows.items()}
-    lost = int(metrics.lost(loops, job.plant.target(loops.t)).sum())
+    lost = int(metrics.lost(loops, metrics.target(job.plant, loops)).sum())
     result = Certified(plant=job.plant.name, loops=table.loops, lost_numerical=lost, models=models)
     if plate := figures.certified(job.plant, result, errors):
         figures.write(plate, job.folder)
@@ -100,7 +100,7 @@ def _loops(job: Job, predictor: Predictor) -> Trajectories:
 
 def _behaviour(plant: Plant, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
     """A network's loops, bare and guarded, beside those of the numerical predictor."""
-    target = plant.target(loops.t)
+    target = metrics.target(plant, loops)
     lost, lost_bare, lost_guarded = (metrics.lost(each, target) for each in (loops, bare, guarded))
     gaps = (np.linalg.norm(each.X - target, axis=-1) for each in (loops, bare, guarded))
     peak, peak_bare, peak_guarded = (float(gap.max()) if np.isfinite(gap).all() else np.inf for gap in gaps)

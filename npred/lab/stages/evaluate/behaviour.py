@@ -56,7 +56,7 @@ def scores(
     """A predictor's loops of an evaluation in numbers, by key of npred.lab.config.results.evaluate.Scores."""
     run, exact = loops[predictor_id], loops[NUMERICAL]
     cases, reference = run.part(begin.cases), exact.part(begin.cases)
-    target = plant.target(cases.t)
+    target = metrics.target(plant, cases)
     settle, goal = (metrics.settle_time(batch, target) for batch in (cases, reference))
     settled = np.isfinite(goal) & (goal > 0)
     mapped = predictor_id.adapts and begin.map.stop > begin.map.start
@@ -77,7 +77,7 @@ def behaviour(
     filtered: bool = False,
 ) -> Behaviour:  # fmt: skip
     """Loops (B,) of true delay D in numbers, of a scenario."""
-    target, D_error = plant.target(loops.t), None
+    target, D_error = metrics.target(plant, loops), None
     late = loops.t >= (1 - metrics.TAIL) * loops.t[-1]
     if not plant.declares_delay and np.isfinite(loops.D_hat[:, late]).any():  # else there is no estimate, or none left
         D_error = float(np.nanmax(np.abs(loops.D_hat[:, late] - [D(t) if callable(D) else D for t in loops.t[late]])))
@@ -106,7 +106,7 @@ def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Tr
 
     `band` is the range of D in which no loop is lost that converges with the numerical predictor.
     """
-    shape, target = (len(config.map_D), len(config.map_D_hat0)), plant.target(loops.t)
+    shape, target = (len(config.map_D), len(config.map_D_hat0)), metrics.target(plant, loops)
     radii = (metrics.radius(run, target) for run in (loops, reference))
     converged, exact = (metrics.converged(each, target).reshape(shape) for each in radii)
     safe = [D for D, row, goal in zip(config.map_D, converged, exact, strict=True) if (row | ~goal).all()]
@@ -120,6 +120,7 @@ def figure1(config: Evaluate, loops: Trajectories) -> Trajectories:
     """The loop of [DAPF, Fig. 1], the first of the batch, up to t_end."""
     rows = slice(0, int(np.searchsorted(loops.t, config.t_end + 1e-9)))
     series = {name: getattr(loops, name)[0, rows] for name in ("X", "P", "U", "D_hat", "N", "energy")}
+    series |= {} if loops.target is None else {"target": loops.target[rows]}
     return replace(loops, t=loops.t[rows], escaped=loops.escaped[0], **series)
 
 
@@ -135,7 +136,7 @@ def write_figure1(path: Path, config: Evaluate, *readings: Mapping[PredictorId, 
 
 
 def end(plant: Plant, loop: Trajectories) -> LoopEnd:
-    target = plant.target(loop.t)
+    target = metrics.target(plant, loop)
     radius, settle_time = float(metrics.radius(loop, target)), float(metrics.settle_time(loop, target))
     return LoopEnd(X_end=loop.X[-1].tolist(), D_hat_end=loop.D_hat[-1], radius=radius, settle_time=settle_time)
 
