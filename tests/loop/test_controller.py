@@ -223,7 +223,8 @@ def test_estimate_and_time_can_be_set():
     controller.step(X0, np.zeros((21, 1)))
     assert controller.t == 0.01 and controller.state()["phi"] is not None
     controller.D_hat = 1.5
-    assert controller.state() == {"D_hat": 1.5, "phi": None, "step": 1, "t0": 0.0}  # no step back across the jump
+    expected = {"D_hat": 1.5, "phi": None, "step": 1, "t0": 0.0, "parameters": dict(PLANT.parameters)}
+    assert controller.state() == expected  # no step back across the jump
     controller.t = 7.3
     assert controller.t == 7.3 and controller.state()["step"] == 0
     with pytest.raises(ConfigError, match="t: expected a finite time, got inf"):
