@@ -14,8 +14,8 @@ has changed: the memory starts again from the window. All that is in npred/kerne
 
 The rates and times follow from one time T: L = 3 / T, omega = 8 / T, memory = 5 T, window = T. It is the largest of
     high / 4, of the largest delay, for the memory has to hold what all candidates say of one command;
-    0.7 / the usual rate of kappa's loop, and 1 / the rate of a reference (npred.plants.speed), for commands that move
-        more slowly than an observer are taken for a disturbance;
+    0.7 / the usual rate of kappa's loop, 0.5 / its slowest rate, and 1 / the rate of a reference (npred.plants.speed),
+        for commands that move more slowly than an observer are taken for a disturbance;
     20 control steps, which a window needs.
 Of the paper's plant with bounds of 0.1 to 4 s it is 1 s.
 
@@ -47,10 +47,8 @@ from npred.plants.speed import of_reference, rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods.runge_kutta import Heun
 
-SHARE, FEWEST = (
-    0.7,
-    20,
-)  # of the usual time constant; control steps in a window, as npred/kernels/c/candidates.h has them
+SHARE, SLOW = 0.7, 0.5  # of the usual time constant, and of the slowest
+FEWEST = 20  # control steps in a window, as npred/kernels/c/candidates.h has them
 DIGITS = 9  # of a number of control steps, before it is rounded: half a step is that in any unit of time
 NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
 
@@ -121,11 +119,10 @@ class DelayObserver(DelayLaw):
         return self.bounds[0] + half, self.bounds[1] - half
 
     def pace(self, plant: Plant, dt: float) -> tuple[float, float, float, float]:
-        """L, omega, memory and window, defaults by T = max(high / 4, 0.7 / the usual rate, 1 / the reference's, 20 dt),
-        high the upper bound of D_hat.
-        """
-        slow = of_reference(plant)
-        T = max(self.bounds[1] / 4, SHARE / rates(plant).usual, 1 / slow if slow > 0 else 0.0, FEWEST * dt)
+        """L, omega, memory and window, defaults by the T of the module, high being the upper bound of D_hat."""
+        pace = rates(plant)
+        slow = [share / rate for share, rate in ((SLOW, pace.slowest), (1.0, of_reference(plant))) if rate > 0]
+        T = max(self.bounds[1] / 4, SHARE / pace.usual, FEWEST * dt, *slow)
         defaults = {"L": 3 / T, "omega": 8 / T, "memory": 5 * T, "window": T}
         L, omega, memory, window = (
             default if (value := getattr(self, name)) is None else value for name, default in defaults.items()
