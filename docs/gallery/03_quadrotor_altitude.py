@@ -19,6 +19,7 @@ class Altitude:
     input_bounds = ((0.0, 24.0),)
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         drag = p.drag * x.climb * M.abs(x.climb)
         return [x.climb, (u.thrust - drag) / p.mass - 9.81]

@@ -20,9 +20,11 @@ class Robot:
     guess = (0.0, 0.0, 1.0)
     delays = (0.2, 0.6)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.speed * M.sin(x.heading), u.turn, u.push]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-2.0 * x.offset - 3.0 * x.heading, -3.0 * (x.speed - 1.0)]
 

@@ -16,12 +16,15 @@ class Tank:
     states, inputs, guess = ("level",), ("inflow",), (1.0,)
     box = {"level": (0.2, 2.0)}
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [u.inflow - x.level]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [1.0 - 3.0 * (x.level - 1.0)]
 
+    @staticmethod
     def delay(x, t, p, M):
         return 0.4 + 0.2 * x.level
 

@@ -27,10 +27,12 @@ class Pendulum:
     box = {"theta": (-0.5, 0.5), "omega": (-0.5, 0.5)}
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(X, u, t, p):  # X (B, n), u (B, m) -> (B, n)
         fall = 10.0 * np.sin(X[:, 0])
         return np.stack([X[:, 1], fall + u[:, 0]], axis=1)
 
+    @staticmethod
     def kappa(X, t, p):  # -> (B, m)
         return (-10.0 * np.sin(X[:, 0]) - 4.0 * X.sum(axis=1))[:, None]
 '''

@@ -22,9 +22,11 @@ class Heater:
     input_bounds = ((0.0, 40.0),)
     guess = (20.0,)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [(p.gain * u.power - x.T) / p.lag]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [(20.0 - 3.0 * (x.T - 20.0)) / p.gain]
 

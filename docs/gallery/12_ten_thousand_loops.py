@@ -21,9 +21,11 @@ class Pendulum:
     box, guess = {"theta": (-1.0, 1.0), "omega": (-1.0, 1.0)}, (0.0, 0.0)
     input_bounds = ((-10.0, 10.0),)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.omega, 10.0 * M.sin(x.theta) + u.u]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-10.0 * M.sin(x.theta) - 4.0 * x.theta - 4.0 * x.omega]
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any, Self, TypedDict
+from typing import Any, Literal, Self, TypedDict, get_args
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
 
-MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
+Actuator = Literal["measured", "history"]  # where the controller has the actuator state from
+MEASURED, HISTORY = get_args(Actuator)
 
 PERFECT = Measurement()
 
@@ -36,7 +37,7 @@ class Loop:
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
     u0: Any = None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa(X0)), rows (k, m) or a function
-    actuator: str = MEASURED  #: "measured": u is; "history": u is read at D_hat from the controller's commands
+    actuator: Actuator = "measured"  #: "measured": u is; "history": u is read at D_hat from the controller's commands
     observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
     watchdog: Watchdog | None = None  #: says what U is where no sample comes
     safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
@@ -89,7 +90,7 @@ class ControllerParts(TypedDict, total=False):
 
     input_bounds: Any
     u0: Any
-    actuator: str
+    actuator: Actuator
     observer: Observer | None
     watchdog: Watchdog | None
     safety: SafetyFilter | None
