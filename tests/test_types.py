@@ -10,6 +10,8 @@ from typing import Any, get_args
 import pytest
 
 from npred import exports
+from npred.base.registry import METHODS
+from npred.prediction import methods
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = '''
@@ -39,7 +41,7 @@ class Pendulum:
 
 
 plant = npred.plant(Pendulum)
-rk4 = npred.predictor("rk4", plant, nx=51)
+rk4 = npred.predictor(plant, "rk4", nx=51)
 law = npred.DelayObserver(bounds=(0.05, 1))
 run = npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, adaptation=law, actuator="history")
 print(run.X[-1], run.U.max(), run.D_hat[-1], metrics.settle_time(run, plant.equilibrium))
@@ -58,7 +60,7 @@ except npred.errors.ConfigError as error:
 MISTAKES = """
 import npred
 plant = npred.plant("van_der_pol")
-rk4 = npred.predictor("rk4", plant)
+rk4 = npred.predictor(plant, "rk4")
 c = npred.controller(plant, rk4, None, 0.01, D_hat=0.5, actuator="history")
 run = npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10)
 npred.simulat(plant, rk4)  # reportAttributeAccessIssue
@@ -72,6 +74,7 @@ npred.simulate(rk4, plant, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10)  # reportArg
 npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, measuremnt=None)  # reportCallIssue
 npred.DelayObserver(bounds=1.0)  # reportArgumentType
 npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0])  # reportCallIssue
+npred.predictor("rk4", plant)  # reportArgumentType
 """
 PLANT = re.compile(r"^```python\n((?:(?!^```).)*?^    def f\(.*?)^```$", re.DOTALL | re.MULTILINE)
 
@@ -121,6 +124,7 @@ def test_documented_plants_have_functions_without_self(complaints: dict[str, dic
 
 
 def test_words_of_types_are_those_of_the_registries():
+    assert get_args(methods.Method) == tuple(METHODS.builtin)
     assert get_args(exports.Form) == tuple(exports.FORMATS)
     options = {name for form in exports.FORMATS.values() for name in form.options}
     assert exports.FormatOptions.__annotations__.keys() == options

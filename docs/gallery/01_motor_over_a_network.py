@@ -31,7 +31,7 @@ class Motor:
 
 
 motor = npred.plant(Motor)
-heun = npred.predictor("heun", motor)
+heun = npred.predictor(motor, "heun")
 network = {
     "D": 0.06,
     "actuator": "history",

@@ -39,7 +39,7 @@ class Room:
 
 
 room = npred.plant(Room)
-rk4 = npred.predictor("rk4", room)
+rk4 = npred.predictor(room, "rk4")
 evening = {
     "D": 0.75,
     "X0": [15.0, 12.0],

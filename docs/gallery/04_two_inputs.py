@@ -30,7 +30,7 @@ class Robot:
 
 
 robot = npred.plant(Robot)
-rk4 = npred.predictor("rk4", robot)
+rk4 = npred.predictor(robot, "rk4")
 starts = [[0.5, 0.3, 0.6], [-0.4, 0.2, 1.4], [0.2, -0.4, 1.0]]
 loops = npred.simulate(
     robot, rk4, D=0.6, D_hat=0.6, X0=starts, t_end=6.0, dt=0.01

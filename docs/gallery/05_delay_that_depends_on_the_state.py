@@ -31,7 +31,7 @@ class Tank:
 
 tank = npred.plant(Tank)
 loops = npred.simulate(
-    tank, npred.predictor("rk4", tank), X0=[[0.2], [0.6], [2.0]], t_end=8.0
+    tank, npred.predictor(tank, "rk4"), X0=[[0.2], [0.6], [2.0]], t_end=8.0
 )
 axes = loops.plot()
 print("commands that overtake others:", int((loops.infeasible >= 0).sum()))

@@ -39,7 +39,7 @@ class Pendulum:
 )
 
 plant = npred.plant(f"{folder}/simulator.py:Pendulum")
-rk4 = npred.predictor("rk4", plant, nx=21)
+rk4 = npred.predictor(plant, "rk4", nx=21)
 loop = npred.simulate(
     plant, rk4, D=0.3, D_hat=0.3, X0=[0.3, 0.0], t_end=4.0, dt=0.01
 )

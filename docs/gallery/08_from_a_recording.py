@@ -59,7 +59,7 @@ assert result.identifiable[0] and abs(result.D[0] - 7.3) < 0.2
 known = npred.plant(Heater, **result.parameters)
 loop = npred.simulate(
     known,
-    npred.predictor("rk4", known),
+    npred.predictor(known, "rk4"),
     D=7.3,
     D_hat=result.D[0],
     X0=[2.0],

@@ -31,7 +31,7 @@ class Cart:
 
 
 cart = npred.plant(Cart)
-rk4 = npred.predictor("rk4", cart, nx=31)
+rk4 = npred.predictor(cart, "rk4", nx=31)
 loop = {
     "D": 0.3,
     "D_hat": 0.3,

@@ -31,7 +31,7 @@ class Pendulum:
 
 
 pendulum = npred.plant(Pendulum)
-rk4 = npred.predictor("rk4", pendulum, nx=21)
+rk4 = npred.predictor(pendulum, "rk4", nx=21)
 rng = np.random.default_rng(0)
 loops, D = 10_000, 0.3
 D_hat = rng.uniform(0.1, 0.5, loops)

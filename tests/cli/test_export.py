@@ -298,7 +298,7 @@ def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
 def test_python_says_what_cannot_be_exported(arguments, options, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5)
     with pytest.raises(ConfigError, match=message):
         npred.export(controller, *arguments, **options)
     with pytest.raises(ConfigError, match="export: expected a controller, got <Plant scalar"):
@@ -311,7 +311,7 @@ def test_python_says_where_nothing_can_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5)
     with pytest.raises(ConfigError, match=f"path: expected a place to write, got '{path}': "):
         npred.export(controller, "fmu" if path.endswith(".fmu") else "controller", path)
 

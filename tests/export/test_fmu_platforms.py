@@ -38,7 +38,7 @@ FORMATS = {  # by the place in the archive: where the magic and the machine stan
 
 
 def heun() -> Controller:
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, NX), PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", NX), PAPER, DT, D_hat=2.0)
 
 
 def guarded_network() -> Controller:

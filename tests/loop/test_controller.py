@@ -75,7 +75,7 @@ def test_goes_on_from_a_saved_state():
 
 
 def test_keeps_no_memory_in_the_steady_state():
-    controller = npred.controller(PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, predictor(PLANT, "fused", operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
     X, u = np.array(X0), np.zeros((21, 1))
     for _ in range(10):
         controller.step(X, u)
@@ -273,7 +273,7 @@ LAWS = (None, LAW, npred.DelayObserver(bounds=(0.1, 4.0)), npred.L1Adaptation(0.
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(law):
     """The steps of npred.simulate, pickled once and restored from JSON once on the way."""
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     loop = npred.simulate(PLANT, run, D=1.2, D_hat=1.4, X0=X0, t_end=8.0, dt=0.01, adaptation=law, actuator="history")
     alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
     for k in range(800):
@@ -290,7 +290,7 @@ def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(l
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_in_a_loop_of_another_plant_it_is_what_knows_the_model_alone(law):
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     start = {"D": 1.2, "D_hat": 1.4, "X0": X0, "t_end": 3.0, "dt": 0.01, "adaptation": law, "actuator": "history"}
     loop = npred.simulate(PLANT, run, truth=npred.plant(PLANT.name, K1=1.05 * PLANT.parameters["K1"]), **start)
     alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
@@ -299,7 +299,7 @@ def test_in_a_loop_of_another_plant_it_is_what_knows_the_model_alone(law):
 
 
 def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
-    run, law = npred.predictor("rk4", PLANT, nx=21), LAWS[2]
+    run, law = npred.predictor(PLANT, "rk4", nx=21), LAWS[2]
     straight = npred.controller(PLANT, run, law, 0.01, actuator="history")
     states = np.random.default_rng(0).uniform([0.05, 4.0], [0.1, 6.0], (900, 2))
     for X in states[:500]:
@@ -311,7 +311,7 @@ def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
 
 
 def test_a_step_that_fails_books_the_command_that_is_held_and_leaves_the_observers():
-    run = npred.predictor("rk4", CUBE, nx=21)
+    run = npred.predictor(CUBE, "rk4", nx=21)
     alone = npred.controller(CUBE, run, npred.DelayObserver(bounds=(0.1, 1.0)), 0.01, actuator="history")
     for _ in range(5):
         U = alone.step([0.1])
@@ -348,7 +348,7 @@ def test_what_the_actuator_got_instead_is_booked():
 
 
 def test_it_is_given_what_is_measured_and_nothing_else():
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     with pytest.raises(ConfigError, match="expected X alone, for the actuator is 'history', got u too; give"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").step(X0, np.zeros((21, 1)))
     with pytest.raises(ConfigError, match="expected X and u, for the actuator is 'measured', got X alone"):
