@@ -10,7 +10,8 @@ from typing import Any, get_args
 import pytest
 
 from npred import exports
-from npred.base.registry import METHODS
+from npred.base.registry import DELAY_LAWS, FROZEN, METHODS
+from npred.estimation import delay_law
 from npred.prediction import methods
 
 ROOT = Path(__file__).parents[1]
@@ -43,7 +44,7 @@ class Pendulum:
 plant = npred.plant(Pendulum)
 rk4 = npred.predictor(plant, "rk4", nx=51)
 law = npred.DelayObserver(bounds=(0.05, 1))
-run = npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, adaptation=law, actuator="history")
+run = npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, adaptation="l1", actuator="history")
 print(run.X[-1], run.U.max(), run.D_hat[-1], metrics.settle_time(run, plant.equilibrium))
 run.plot(D=0.3, label="with prediction")
 print(npred.delay_margin(plant, 0.3)[1], npred.plant("planar_arm2", kappa="lqr").n)
@@ -73,6 +74,7 @@ npred.export(c, "controller", "out", precison="float")  # reportCallIssue
 npred.simulate(rk4, plant, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10)  # reportArgumentType
 npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, measuremnt=None)  # reportCallIssue
 npred.DelayObserver(bounds=1.0)  # reportArgumentType
+npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0], t_end=10, adaptation=0.5)  # reportArgumentType
 npred.simulate(plant, rk4, D=0.3, D_hat=0.6, X0=[0.3, 0])  # reportCallIssue
 npred.predictor("rk4", plant)  # reportArgumentType
 """
@@ -125,6 +127,7 @@ def test_documented_plants_have_functions_without_self(complaints: dict[str, dic
 
 def test_words_of_types_are_those_of_the_registries():
     assert get_args(methods.Method) == tuple(METHODS.builtin)
+    assert get_args(delay_law.Adaptation) == (*DELAY_LAWS.builtin, FROZEN)
     assert get_args(exports.Form) == tuple(exports.FORMATS)
     options = {name for form in exports.FORMATS.values() for name in form.options}
     assert exports.FormatOptions.__annotations__.keys() == options

@@ -11,7 +11,7 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError
 from npred.base.notebook import InNotebook
-from npred.estimation.delay_law import DelayLaw, Part, part
+from npred.estimation.delay_law import Adaptation, DelayLaw, Part, part
 from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
@@ -31,8 +31,8 @@ STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one 
 
 
 def controller(
-    plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *, D_hat: float | None = None,
-    **parts: Unpack[ControllerParts],
+    plant: Plant, predictor: Predictor, adaptation: DelayLaw | Adaptation | str | None, dt: float, *,
+    D_hat: float | None = None, **parts: Unpack[ControllerParts],
 ) -> "Controller":  # fmt: skip
     """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
     `actuator="history"`, where u is not measured.
@@ -43,8 +43,8 @@ def controller(
         From npred.plant.
     predictor : Predictor
         From npred.predictor, npred.load or npred.guarded.
-    adaptation : DelayLaw or None
-        Law of the estimate D_hat; None freezes it.
+    adaptation : DelayLaw, its name as "delay-observer", or None
+        Law of the estimate D_hat; None or "frozen" freezes it.
     dt : float, in the plant's unit of time
         Control step; U is held over it.
     D_hat : float, in the plant's unit of time, optional

@@ -7,7 +7,7 @@ from typing import Any, Literal, Self, TypedDict, get_args
 import numpy as np
 
 from npred.base.errors import ConfigError, similar
-from npred.estimation.delay_law import DelayLaw
+from npred.estimation.delay_law import DelayLaw, by_name
 from npred.estimation.observers import Observer
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
@@ -33,7 +33,7 @@ class Loop:
     plant: Plant  #: the controller's model, from npred.plant
     predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
     dt: float = 0.005  #: control step; U is held over it
-    adaptation: DelayLaw | None = None  #: law of the estimate D_hat; None freezes it
+    adaptation: DelayLaw | None = None  #: law of the estimate D_hat, also by name, as a pipeline; None freezes it
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
     u0: Any = None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa(X0)), rows (k, m) or a function
@@ -51,6 +51,11 @@ class Loop:
     disturbance: Callable[[float], Any] | None = None  #: added to the plant's input, (m,) or (..., m), by the time
     timing: Timing | None = None  #: clock of the calls and commands
     integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
+
+    def __post_init__(self) -> None:
+        """A law by name is the law with its defaults."""
+        if isinstance(self.adaptation, str):
+            object.__setattr__(self, "adaptation", by_name(self.adaptation))
 
     @property
     def real(self) -> Plant:

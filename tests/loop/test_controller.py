@@ -75,7 +75,7 @@ def test_goes_on_from_a_saved_state():
 
 
 def test_keeps_no_memory_in_the_steady_state():
-    controller = npred.controller(PLANT, predictor(PLANT, "fused", operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
     X, u = np.array(X0), np.zeros((21, 1))
     for _ in range(10):
         controller.step(X, u)
