@@ -35,7 +35,7 @@ LOAD = f"{LOOP}model = npred.load('{{model}}', store='{{store}}')\n"
 RUN = "print(npred.simulate(plant, model, **run))"
 GUARD = "print(npred.simulate(plant, npred.guarded(model), **run))"
 STEP = """
-controller = npred.controller(plant, model, law, 0.005, D_hat=2.0)
+controller = npred.controller(plant, model, law, 0.005, D_hat=2.0, actuator="measured")
 print(controller.step([0.03, 30.0], [[0.0]] * 101))
 """
 

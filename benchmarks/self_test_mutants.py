@@ -381,7 +381,7 @@ def controllers() -> dict[str, tuple[Callable[[], Controller], str]]:
         "plain": (lambda: history("scalar"), "double"),
         "rk4": (lambda: history("cart_pole", method="rk4"), "double"),
         "float": (lambda: history("van_der_pol", method="rk4"), "float"),
-        "law": (lambda: npred.controller(paper, heun, adapting, 0.01, D_hat=2.0), "double"),
+        "law": (lambda: npred.controller(paper, heun, adapting, 0.01, D_hat=2.0, actuator="measured"), "double"),
         "L1": (lambda: history("activator_repressor", npred.L1Adaptation(0.01, bounds=(0.1, 0.5)), 0.2), "double"),
         "observer of the delay": (lambda: history("van_der_pol", **observed), "double"),
         "guard": (lambda: npred.controller(

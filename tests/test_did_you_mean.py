@@ -85,7 +85,7 @@ def simulated(**named: Any) -> Any:
 
 
 def controller() -> Any:
-    return npred.controller(TANK, npred.predictor(TANK, "heun", 11), None, 0.1, D_hat=0.1)
+    return npred.controller(TANK, npred.predictor(TANK, "heun", 11), None, 0.1, D_hat=0.1, actuator="measured")
 
 
 def traced(**parts: Any) -> Any:

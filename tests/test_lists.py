@@ -45,7 +45,7 @@ def simulated(X0: Any, D: Any, D_hat: Any, bounds: Any, u0: Any, **more: Any) ->
 
 
 def controlled(X: Any, u: Any, bounds: Any) -> Any:
-    controller = npred.controller(PLANT, RK4, None, 0.01, D_hat=0.1, input_bounds=bounds)
+    controller = npred.controller(PLANT, RK4, None, 0.01, D_hat=0.1, input_bounds=bounds, actuator="measured")
     return np.append(controller.step(X, u), controller.P)
 
 

@@ -16,7 +16,7 @@ from npred.loop import engine, loop_checks, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
-from npred.loop.loop import REALITY, ControllerParts, Loop
+from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.timing import ROUNDING, SNAP, snapped
 from npred.plants import inputs
@@ -34,8 +34,10 @@ def controller(
     plant: Plant, predictor: Predictor, adaptation: DelayLaw | Adaptation | str | None, dt: float, *,
     D_hat: float | None = None, **parts: Unpack[ControllerParts],
 ) -> "Controller":  # fmt: skip
-    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
-    `actuator="history"`, where u is not measured.
+    """The controller alone, for a real plant: `U = controller.step(X)` each dt.
+
+    Hardware does not measure the actuator state u, so the controller reads it at D_hat from its commands; with
+    `actuator="measured"`, the article's setting and the default of simulate, it is `controller.step(X, u)`.
 
     Parameters
     ----------
@@ -50,8 +52,8 @@ def controller(
     D_hat : float, in the plant's unit of time, optional
         First estimate of the delay; by default the middle of the law's bounds.
     **parts
-        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog,
-        safety, outlier_limit, max_sample_age, history_length.
+        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator (by default "history"),
+        observer, watchdog, safety, outlier_limit, max_sample_age, history_length.
 
     Returns
     -------
@@ -64,7 +66,7 @@ def controller(
         For parts that do not fit together, and for an unknown one.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
-    return Controller(Loop.of("controller", REALITY, named | {**parts}))
+    return Controller(Loop.of("controller", REALITY, named | {"actuator": HISTORY} | {**parts}))
 
 
 class Controller(InNotebook):

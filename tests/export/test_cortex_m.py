@@ -24,7 +24,7 @@ LAW = npred.DelayAdaptation(1000.0, bounds=(0.1, 2.0))
 
 def measured(kind):
     network = Fused(PLANT, operator(SMALL[0]), 21, precision=kind)
-    return npred.controller(PLANT, npred.guarded(network, 0.01), LAW, 0.02, D_hat=1.5)
+    return npred.controller(PLANT, npred.guarded(network, 0.01), LAW, 0.02, D_hat=1.5, actuator="measured")
 
 
 def recalled(kind):

@@ -33,17 +33,19 @@ VERSIONS = (3, 2)
 
 
 def heun(plant=PLANT, **options):
-    return npred.controller(plant, npred.predictor(plant, "heun", 21), PAPER, DT, D_hat=2.0, **options)
+    return npred.controller(
+        plant, npred.predictor(plant, "heun", 21), PAPER, DT, D_hat=2.0, **({"actuator": "measured"} | options)
+    )
 
 
 def network():
     fused = Fused(PLANT, operator(SMALL[0]).double(), 21, precision=np.float64)
-    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def doubting():
     guarded = npred.guarded(npred.predictor(PLANT, "euler", 21), 1.25e-5)
-    return npred.controller(PLANT, guarded, PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, guarded, PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def observing():
@@ -329,7 +331,9 @@ def test_parameters_are_those_of_another_controller(instance, version):
     name, value = next(iter(PLANT.parameters.items()))
     other = npred.plant("activator_repressor", **{name: 1.1 * value})
     law = npred.DelayAdaptation(300.0, bounds=(0.1, 4.0))
-    expected = npred.controller(other, Guarded(npred.predictor(other, "euler", 21), 1e-5), law, DT, D_hat=0.7)
+    expected = npred.controller(
+        other, Guarded(npred.predictor(other, "euler", 21), 1e-5), law, DT, D_hat=0.7, actuator="measured"
+    )
     parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat_start": 0.7}
     run = instance(doubting, version, **parameters)
     for x in states(50):

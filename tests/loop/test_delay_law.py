@@ -109,7 +109,7 @@ def test_a_law_may_replace_phi():
 def test_the_controller_takes_the_same_steps():
     law = Leaky(gamma=2.0)
     loop = loops(law, D_hat=1.6, X0=[1.0], samples=np.arange(300))
-    controller = npred.controller(PLANT, RK4(PLANT, 51), law, 0.01, D_hat=1.6)
+    controller = npred.controller(PLANT, RK4(PLANT, 51), law, 0.01, D_hat=1.6, actuator="measured")
     for k in range(300):
         np.testing.assert_allclose(controller.D_hat, loop.D_hat[k], rtol=1e-12)
         U = controller.step(loop.samples.X[k], loop.samples.u[k], at_nodes(loop.U, k, 51, 100))

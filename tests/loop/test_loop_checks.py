@@ -171,10 +171,10 @@ def test_bounds_follow_the_delay_and_hold_what_is_given():
 
 def test_a_controller_takes_the_delay_from_its_first_estimate_or_asks():
     heun = npred.predictor(SCALAR, "heun", 21)
-    law = npred.controller(SCALAR, heun, npred.DelayAdaptation(), 0.01, D_hat=0.5).adaptation
+    law = npred.controller(SCALAR, heun, npred.DelayAdaptation(), 0.01, D_hat=0.5, actuator="measured").adaptation
     assert law is not None and law.bounds == (0.05, 2.0) and law.gamma == suited_gamma(SCALAR, 0.5)
     with pytest.raises(ConfigError, match=r"D_hat: expected a first estimate in seconds, .* got none; give D_hat"):
-        npred.controller(SCALAR, heun, npred.DelayAdaptation(gamma=1.0), 0.01)
+        npred.controller(SCALAR, heun, npred.DelayAdaptation(gamma=1.0), 0.01, actuator="measured")
 
 
 def doubts(name: str, D: float, **evaluate) -> list[str]:

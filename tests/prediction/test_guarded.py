@@ -125,7 +125,9 @@ def test_kept_states_say_whether_the_guard_answered_since_the_one_before():
 def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
     guarded = npred.guarded(Wrong(PLANT, error=0.05), 0.005)
     run = loop(guarded, D_hat=0.5, samples=np.array([0, 1, 2, 3]), input_bounds=[[-10.0, 10.0]])
-    controller = npred.controller(PLANT, guarded, None, 0.01, D_hat=0.5, input_bounds=[[-10.0, 10.0]])
+    controller = npred.controller(
+        PLANT, guarded, None, 0.01, D_hat=0.5, input_bounds=[[-10.0, 10.0]], actuator="measured"
+    )
     for k in range(3):
         U = controller.step(run.samples.X[k], run.samples.u[k])
         np.testing.assert_allclose(U, run.U[k], atol=1e-3)
