@@ -53,7 +53,7 @@ class PipelineFit:
     def scenarios(self) -> list[Scenario]:
         return self.pipeline.evaluate.scenarios if "evaluate" in self.stages else []
 
-    def case(self, delay: float | None = None, nodes: int | None = None, u0: Any = None) -> Case:
+    def case(self, delay: float | None = None, nx: int | None = None, u0: Any = None) -> Case:
         """The case of the plant for the questions of npred.diagnosis, by default with the pipeline's settings."""
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
         laws = [table.adaptation for table in (*self.loops.values(), *self.scenarios) if table.adaptation is not None]
@@ -65,7 +65,7 @@ class PipelineFit:
             delay, source = diagnosis.longest(self.plant, asked)
         else:
             delay, source = self.pipeline.longest_delay, "the longest delay or first estimate of the pipeline"
-        count, start = generate.nx if nodes is None else nodes, generate.u0 if u0 is None else u0
+        count, start = generate.nx if nx is None else nx, generate.u0 if u0 is None else u0
         return Case(self.plant, delay, count, diagnosis.SAMPLES, source, start, asked)
 
     def _adaptive(self, case: Case) -> AdaptiveLoops:
@@ -86,14 +86,14 @@ class PipelineFit:
 
 
 def check(
-    plant: Plant, pipeline: Pipeline, delay: float | None = None, nodes: int | None = None, u0: Any = None
+    plant: Plant, pipeline: Pipeline, delay: float | None = None, nx: int | None = None, u0: Any = None
 ) -> list[Answer]:
     """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant.
 
-    Delay, nodes and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
+    Delay, nx and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
     """
     fit = PipelineFit(plant, pipeline)
-    case = fit.case(delay, nodes, u0)
+    case = fit.case(delay, nx, u0)
     inputs.start(plant, u0, case.limits)
     answers = diagnosis.answers(case)
     if plant.declares_kappa:
