@@ -86,7 +86,7 @@ if __name__ == "__main__":
     pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
     network = npred.load(options.model, nx=options.nx, runtime="fused", store=options.store)
     plant = network.plant
-    rk4, guarded = npred.predictor("rk4", plant, options.nx), Guarded(network, options.tolerance)
+    rk4, guarded = npred.predictor(plant, "rk4", options.nx), Guarded(network, options.tolerance)
     name, counts = guarded.reference
     print(f"guarded by shadows, {name} on {', '.join(map(str, counts))} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")

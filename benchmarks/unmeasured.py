@@ -136,7 +136,7 @@ def simulated(plant: npred.plants.Plant, law: str, D: Any, D_hat: Any, X0: Any, 
         D, D_hat = np.meshgrid(D, D_hat, indexing="ij")
     settings = {"t_end": 60.0, "dt": 0.005} | settings
     return npred.simulate(
-        plant, npred.predictor("rk4", plant, nx), D=D, D_hat=D_hat, X0=X0, adaptation=kind(gamma, 1.0, bounds),
+        plant, npred.predictor(plant, "rk4", nx), D=D, D_hat=D_hat, X0=X0, adaptation=kind(gamma, 1.0, bounds),
         actuator=actuator, **settings,
     )  # fmt: skip
 
@@ -268,7 +268,7 @@ def steps_table() -> str:
         for D_hat in (1.2, 1.5):
             ends = [
                 npred.simulate(
-                    PLANT, npred.predictor("rk4", PLANT, 51), D=1.0, D_hat=D_hat, X0=[0.03, 30.0], t_end=25.0, dt=dt,
+                    PLANT, npred.predictor(PLANT, "rk4", 51), D=1.0, D_hat=D_hat, X0=[0.03, 30.0], t_end=25.0, dt=dt,
                     adaptation=npred.L1Adaptation(1.0, 1.0, BOUNDS, epsilon), actuator="history",
                 ).D_hat[-1] for dt in STEPS
             ]  # fmt: skip
@@ -279,7 +279,7 @@ def steps_table() -> str:
 def cost_table() -> str:
     """A control step of the paper's plant with the observers and with D_hat frozen, side by side, one loop."""
     frozen, observers = None, npred.DelayObserver(bounds=BOUNDS)
-    rk4, times = npred.predictor("rk4", PLANT, 101), np.empty((15, 2))
+    rk4, times = npred.predictor(PLANT, "rk4", 101), np.empty((15, 2))
     for row in times:
         for i, law in enumerate((frozen, observers)):
             start = time.process_time()

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -63,7 +63,8 @@ class Reading(TypedDict, total=False):
 def identify(
     plant: Plant, t: Any, U: Any = None, X: Any = None, *, free: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None, longest: float | None = None, offset: bool = False,
-    time_varying: bool = False, model_error: float = MODEL_ERROR, hold: str | None = None, **reading: Unpack[Reading],
+    time_varying: bool = False, model_error: float = MODEL_ERROR, hold: Literal["zero", "linear"] | None = None,
+    **reading: Unpack[Reading],
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 

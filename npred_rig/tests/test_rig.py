@@ -247,7 +247,7 @@ def test_the_network_is_that_of_the_overrides_and_has_the_guard(tmp_path, monkey
         npred.plant("scalar"),
     )
     monkeypatch.setattr(rig, "load_model", lambda *arguments: asked.append(arguments))
-    monkeypatch.setattr(rig, "loaded", lambda stored, nx, device, runtime: npred.predictor("heun", plant, nx))
+    monkeypatch.setattr(rig, "loaded", lambda stored, nx, device, runtime: npred.predictor(plant, "heun", nx))
     predictor = rig._controller(options, plant, Channel()).predictor
     assert asked == [("short.toml:deeponet", options.store, overrides)]
     assert isinstance(predictor, Guarded) and predictor.tolerance == 0.02

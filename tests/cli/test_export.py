@@ -248,7 +248,7 @@ def from_python(trained, tmp_path, monkeypatch):
     """A controller with the trained network, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     network = npred.load(f"{trained / 'p.toml'}:deeponet", store=trained / "store", nx=21)
-    return npred.controller(network.plant, network, None, 0.01, D_hat=0.5)
+    return npred.controller(network.plant, network, None, 0.01, D_hat=0.5, actuator="measured")
 
 
 def test_python_exports_a_controller_as_c_with_its_test(from_python):
@@ -274,7 +274,9 @@ def test_python_exports_the_network_of_a_controller_as_c(from_python):
 def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
     onnxruntime = pytest.importorskip("onnxruntime")
     guarded = npred.guarded(from_python.predictor, 0.1)
-    npred.export(npred.controller(guarded.plant, guarded, None, 0.01, D_hat=0.5), "onnx", "net.onnx")
+    npred.export(
+        npred.controller(guarded.plant, guarded, None, 0.01, D_hat=0.5, actuator="measured"), "onnx", "net.onnx"
+    )
     session = onnxruntime.InferenceSession("net.onnx")
     X, u, D_hat = np.float32([[0.03, 30.0]]), np.zeros((1, 21, 1), np.float32), np.float32([0.5])
     P = session.run(["P"], dict(zip([entry.name for entry in session.get_inputs()], (X, u, D_hat), strict=True)))[0]
@@ -298,7 +300,7 @@ def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
 def test_python_says_what_cannot_be_exported(arguments, options, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5, actuator="measured")
     with pytest.raises(ConfigError, match=message):
         npred.export(controller, *arguments, **options)
     with pytest.raises(ConfigError, match="export: expected a controller, got <Plant scalar"):
@@ -311,7 +313,7 @@ def test_python_says_where_nothing_can_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5, actuator="measured")
     with pytest.raises(ConfigError, match=f"path: expected a place to write, got '{path}': "):
         npred.export(controller, "fmu" if path.endswith(".fmu") else "controller", path)
 

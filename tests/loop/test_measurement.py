@@ -17,7 +17,7 @@ from npred.loop.measurement import Measurement
 from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
-RK4 = npred.predictor("rk4", PLANT, nx=51)
+RK4 = npred.predictor(PLANT, "rk4", nx=51)
 START = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 20.0, "dt": 0.01}
 
 
@@ -47,7 +47,7 @@ def test_so_does_one_that_knows_the_time_and_a_delay_for_each_input(delays):
     plant = Plant("driven", type("Driven", (Driven,), {"delays": delays}))
     sparse, start = Measurement(delay=0.1, period=0.15, drop=0.5), {"X0": [0.5, -0.3], "t_end": 4.0, "dt": 0.01}
     runs = [
-        npred.simulate(plant, npred.predictor("rk4", plant, nx=21), D=0.537, D_hat=0.537, measurement=seen, **start)
+        npred.simulate(plant, npred.predictor(plant, "rk4", nx=21), D=0.537, D_hat=0.537, measurement=seen, **start)
         for seen in (sparse, None)
     ]
     assert np.abs(runs[0].X - runs[1].X).max() < 1e-12
@@ -57,7 +57,7 @@ def test_between_samples_the_controller_believes_its_model():
     """X' = X / 2 + U without a delay, U = -3 X_hat / 2, of a plant X' = X + U: both in closed form."""
     model, truth = npred.plant("scalar", a=0.5, c=1.0), npred.plant("scalar", a=1.0, c=1.0)
     run = npred.simulate(
-        model, npred.predictor("rk4", model, nx=5), D=0.0, D_hat=0.0, X0=[1.0], t_end=2.0, dt=0.01,
+        model, npred.predictor(model, "rk4", nx=5), D=0.0, D_hat=0.0, X0=[1.0], t_end=2.0, dt=0.01,
         measurement=Measurement(period=0.2), truth=truth,
     )  # fmt: skip
     X = X_hat = 1.0
@@ -338,7 +338,7 @@ def test_relative_and_absolute_noise_are_independent():
 def closed(measurement, **changes):
     plant = PLANTS[2]
     start = {"X0": [[0.5, -0.2], [0.1, 0.3]], "D": 0.5, "D_hat": 0.5, "dt": 0.01, "t_end": 3.0} | changes
-    return npred.simulate(plant, npred.predictor("rk4", plant, nx=51), measurement=measurement, **start)
+    return npred.simulate(plant, npred.predictor(plant, "rk4", nx=51), measurement=measurement, **start)
 
 
 def test_a_number_is_the_same_as_it_for_each_state():

@@ -28,7 +28,7 @@ class Escape:
 def loops(**change):
     plant = npred.plant("activator_repressor")
     settings = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 0.5, "dt": 0.01} | change
-    return npred.simulate(plant, npred.predictor("heun", plant, nx=11), **settings)
+    return npred.simulate(plant, npred.predictor(plant, "heun", nx=11), **settings)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_says_that_an_estimate_ended_at_its_bound():
     plant = npred.plant("scalar")
     for law in (npred.DelayObserver(bounds=(0.1, 0.8)), npred.DelayAdaptation(5.0, 1.0, (0.1, 0.8))):
         settings = {"D_hat": 0.5, "X0": [1.0], "t_end": 6.0, "dt": 0.01, "adaptation": law}
-        run = npred.simulate(plant, npred.predictor("heun", plant, nx=11), D=[1.2, 0.5], **settings)
+        run = npred.simulate(plant, npred.predictor(plant, "heun", nx=11), D=[1.2, 0.5], **settings)
         words = "  D_hat ended at its bound in 1 of 2 loops and the delay may lie outside; widen bounds"
         assert str(run).splitlines()[-1] == words
         assert "ended at its bound and the delay may lie outside" in str(replace(run, **one_of(run)))
@@ -77,7 +77,7 @@ def test_prints_a_batch_as_ranges(batch):
 @pytest.mark.filterwarnings("error")
 def test_says_which_loops_escape_and_tells_two_of_one_name_apart():
     plant = Plant("escape", Escape)
-    heun, settings = npred.predictor("heun", plant, 11), {"D": 0.1, "D_hat": 0.1, "t_end": 1.0, "dt": 0.001}
+    heun, settings = npred.predictor(plant, "heun", 11), {"D": 0.1, "D_hat": 0.1, "t_end": 1.0, "dt": 0.001}
     both = npred.simulate(plant, heun, X0=[[0.1], [2.0]], **settings)
     lines = str(both).splitlines()
     assert lines[0] == "Trajectories: 2 loops, 1001 times from 0 to 1 s"
@@ -127,7 +127,7 @@ def test_a_plot_has_the_labels_and_units_that_the_plant_declares():
     from matplotlib import pyplot
 
     plant = Plant("tank", Tank)
-    loop = npred.simulate(plant, npred.predictor("heun", plant, 5), D=0.1, D_hat=0.1, X0=[1, 1], t_end=0.2, dt=0.01)
+    loop = npred.simulate(plant, npred.predictor(plant, "heun", 5), D=0.1, D_hat=0.1, X0=[1, 1], t_end=0.2, dt=0.01)
     with pyplot.rc_context({"backend": "agg"}):
         axes = loop.plot()
         axes[0].figure.canvas.draw()  # mathematics that matplotlib cannot read raises here
@@ -205,5 +205,5 @@ def test_a_notebook_shows_text_and_plot_of_a_few_loops_and_the_text_of_many(one,
 def test_a_notebook_shows_names_as_text():
     plant = Plant("tank", Tank)
     assert "&lt;Plant tank: " in plant._repr_html_() and "<Plant" not in plant._repr_html_()
-    assert "nx = 7" in npred.predictor("rk4", plant, 7)._repr_html_()
+    assert "nx = 7" in npred.predictor(plant, "rk4", 7)._repr_html_()
     assert "samples: 3" in Generated(samples=3, rollouts=1, held_out=[0], nx=5)._repr_html_()

@@ -7,7 +7,6 @@ from pydantic import Field, model_validator
 
 from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, Setpoint, StateObserver
 from npred.lab.config.section import (
-    Actuator,
     Bounds,
     Count,
     Delay,
@@ -20,6 +19,7 @@ from npred.lab.config.section import (
     Section,
     Some,
 )
+from npred.loop.loop import Actuator
 from npred.loop.measurement import Sensors
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
