@@ -55,7 +55,9 @@ def conditions(plant: Plant, pipeline: config.Pipeline, loops: int, t_end: float
         "nominal": nominal,
         "starts from a box 5 times as wide": replace(nominal, X0=np.where(positive, np.abs(wide), wide)),
         **{
-            f"noise {share:.0%}": replace(nominal, table=table.model_copy(update={"measurement": Sensors(noise=share)}))
+            f"noise {share:.0%}": replace(
+                nominal, table=table.model_copy(update={"measurement": Sensors(relative_noise=share)})
+            )
             for share in (0.03, 0.05)
         },
         **{f"D̂(0) = {share:g} D": replace(nominal, D_hat=share * D) for share in (0.1, 4.0)},

@@ -45,9 +45,9 @@ SCAN = {
 }
 STEPS = [0.02, 0.01, 0.005, 0.0025]  # s
 HILL = {name: value for name, value in PLANT.parameters.items() if name.startswith("K")}
-NOISE_1 = {"measurement": npred.Measurement(noise=0.01)}
-NOISE_3 = {"measurement": npred.Measurement(noise=0.03)}
-SAMPLED = {"measurement": npred.Measurement(noise=0.01, period=0.05)}
+NOISE_1 = {"measurement": npred.Measurement(relative_noise=0.01)}
+NOISE_3 = {"measurement": npred.Measurement(relative_noise=0.03)}
+SAMPLED = {"measurement": npred.Measurement(relative_noise=0.01, period=0.05)}
 
 
 class Follower:
@@ -96,7 +96,7 @@ def off(factor: float) -> dict[str, Any]:
 REALITIES = {
     "nothing else": {},
     "3 % noise": NOISE_3,
-    "1 % noise each 50 ms ± 15 ms": {"measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.3)},
+    "1 % noise each 50 ms ± 15 ms": {"measurement": npred.Measurement(relative_noise=0.01, period=0.05, jitter=0.3)},
     "plant 3 % above its model": off(1.03),
     "plant 3 % below": off(0.97),
     "disturbance .002 sin(.7 t)": wave(0.002),
@@ -221,7 +221,7 @@ def sampled_table(first: int = 0) -> str:
                 start = {
                     "D": rng.uniform(*D, SCANNED), "D_hat": rng.uniform(*D_hat, SCANNED),
                     "X0": rng.uniform(low, high, (SCANNED, plant.n)), "bounds": bounds, "dt": 0.01,
-                    "measurement": npred.Measurement(noise=noise, period=period, seed=seed),
+                    "measurement": npred.Measurement(relative_noise=noise, period=period, seed=seed),
                 }  # fmt: skip
                 runs = [simulated(plant, law, gamma=gamma, **start) for law in few]
                 measured, observed = (kept(plant, run, 0.2 if noise else metrics.SETTLED) for run in runs)

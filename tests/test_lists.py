@@ -62,7 +62,7 @@ def observed(Q: Any, R: Any, X0: Any, P0: Any) -> Any:
 
 
 def measured(noise: Any, absolute: Any, bias: Any, resolution: Any) -> Any:
-    sensors = npred.Measurement(noise=noise, absolute=absolute, bias=bias, resolution=resolution, seed=1)
+    sensors = npred.Measurement(relative_noise=noise, noise=absolute, bias=bias, resolution=resolution, seed=1)
     return npred.simulate(PLANT, RK4, X0=[0.05, 10.0], measurement=sensors, **LOOP).X
 
 

@@ -109,7 +109,7 @@ def test_an_observer_of_the_state_and_a_watchdog(unit):
         return run(
             each, k, npred.DelayObserver(), steps=150, actuator="history", timing=npred.Timing(jitter=0.2),
             observer=npred.observers.EKF(each, outputs=["h2"], offset=True), watchdog=npred.Watchdog(0.062 * k, "zero"),
-            measurement=npred.Measurement(absolute=1e-3, period=0.042 * k, drop=0.3),
+            measurement=npred.Measurement(noise=1e-3, period=0.042 * k, drop=0.3),
         )  # fmt: skip
 
     one, two = clocked(plant, 1.0), clocked(other, factor)

@@ -34,7 +34,7 @@ nx = 21
 t_end = 10.0
 case_t_end = 10.0
 adaptation = "delay-observer"
-measurement = { absolute = 0.002 }
+measurement = { noise = 0.002 }
 """
 
 
@@ -227,7 +227,7 @@ def test_a_plant_that_swings_has_a_radius_whatever_its_output_is_called(start, t
         ("measurement={period = 0.02, jitter = 0.1}", "got evaluate.measurement.jitter;"),
         ("timing.overrun=0.1", "got evaluate.timing;"),
         ("X0=[1.0, 2.0]", "X0: expected shape (..., 1)"),
-        ("measurement.noise=[0.1, 0.2]", "measurement: expected noise as one number or 1"),
+        ("measurement.relative_noise=[0.1, 0.2]", "measurement: expected relative_noise as one number or 1"),
     ],
 )
 def test_what_the_rig_does_not_honour_is_refused_by_name(tmp_path, monkeypatch, override, words):

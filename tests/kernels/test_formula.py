@@ -203,8 +203,8 @@ import npred
 for name, options in {
     "scalar": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayAdaptation(bounds=(0.1, 1.0))},
     "van_der_pol": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)), "actuator": "history",
-                    "measurement": npred.Measurement(noise=0.01, absolute=[0.1, 0.0], bias=0.1, resolution=[0.0, 0.01],
-                                                     period=0.1, jitter=0.5, delay=0.04, drop=0.1)},
+                    "measurement": npred.Measurement(noise=[0.1, 0.0], relative_noise=0.01, bias=0.1, period=0.1,
+                                                     resolution=[0.0, 0.01], jitter=0.5, delay=0.04, drop=0.1)},
     "unicycle": {"D": 0.5, "D_hat": 0.4, "actuator": "history"},
     "slow_unicycle": {"D": lambda t: 0.5 + 0.1 * np.sin(9 * t), "D_hat": 0.5, "actuator": "history", "u0": "law",
                       "timing": npred.Timing(jitter=0.4, lost=0.2, overrun=0.2, tells=True),

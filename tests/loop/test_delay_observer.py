@@ -53,10 +53,10 @@ WRONG = npred.plant("activator_repressor", **{name: 1.03 * PLANT.parameters[name
 @pytest.mark.parametrize(
     ("reality", "largest"),
     [
-        ({"measurement": Measurement(noise=0.03)}, 0.02),
+        ({"measurement": Measurement(relative_noise=0.03)}, 0.02),
         ({"truth": WRONG}, 0.02),
         ({"disturbance": lambda t: [0.002 * np.sin(0.7 * t)]}, 0.05),
-        ({"measurement": Measurement(period=0.1, jitter=0.3, noise=0.01)}, 0.05),
+        ({"measurement": Measurement(period=0.1, jitter=0.3, relative_noise=0.01)}, 0.05),
     ],
     ids=["noise", "model", "disturbance", "sampled"],
 )
@@ -86,8 +86,8 @@ def test_a_jump_is_found_where_the_commands_never_rest():
 @pytest.mark.parametrize(
     "reality",
     [
-        {"measurement": Measurement(noise=0.01)},
-        {"measurement": Measurement(noise=0.01, period=0.05)},
+        {"measurement": Measurement(relative_noise=0.01)},
+        {"measurement": Measurement(relative_noise=0.01, period=0.05)},
         {"disturbance": lambda t: [0.05 * np.sin(0.7 * t)]},
     ],
     ids=["noise", "sampled", "disturbance"],
@@ -143,10 +143,12 @@ class CalledFollower:
     reference = lambda t, p: (p.A * np.sin(p.w * t))[:, None]
 
 
-SPARSE = Measurement(noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2)  # each loop has samples of its own
+SPARSE = Measurement(
+    relative_noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2
+)  # each loop has samples of its own
 
 
-@pytest.mark.parametrize("measurement", [None, Measurement(noise=0.01, period=0.05, delay=0.02), SPARSE])
+@pytest.mark.parametrize("measurement", [None, Measurement(relative_noise=0.01, period=0.05, delay=0.02), SPARSE])
 def test_a_plant_that_is_called_has_the_estimate_of_its_traced_twin(measurement):
     runs = [
         npred.simulate(
@@ -174,11 +176,11 @@ def sampled(measurement, D=1.33, D_hat=0.892, X0=(1.0,), **changes):
 @pytest.mark.parametrize(
     "measurement",
     [
-        Measurement(noise=0.005, period=0.2),
-        Measurement(noise=0.005, period=0.25),
-        Measurement(noise=0.005, period=0.3),
-        Measurement(noise=0.005, period=0.3, delay=0.17),
-        Measurement(noise=0.005, period=0.2, delay=0.3),
+        Measurement(relative_noise=0.005, period=0.2),
+        Measurement(relative_noise=0.005, period=0.25),
+        Measurement(relative_noise=0.005, period=0.3),
+        Measurement(relative_noise=0.005, period=0.3, delay=0.17),
+        Measurement(relative_noise=0.005, period=0.2, delay=0.3),
     ],
 )
 def test_the_estimate_does_not_lock_onto_the_sampling_period(measurement):
@@ -189,7 +191,7 @@ def test_the_estimate_does_not_lock_onto_the_sampling_period(measurement):
 
 def test_noise_in_few_samples_looks_like_no_jump():
     """Two samples a second: a window of one second would hold two, and their errors differ by more than RISES."""
-    run = loops(D_hat=STARTS, measurement=Measurement(noise=0.02, period=0.5, seed=3), t_end=40.0)
+    run = loops(D_hat=STARTS, measurement=Measurement(relative_noise=0.02, period=0.5, seed=3), t_end=40.0)
     assert np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max() < 1.1
     assert error(run) < 0.5
 

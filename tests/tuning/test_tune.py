@@ -163,7 +163,7 @@ def test_an_interruption_gives_the_best_up_to_then():
 
 def test_gamma_and_b_vary_where_the_delay_adapts_and_scenarios_count():
     table = {"adaptation": "bresch-pietri-krstic", "bounds": [0.1, 0.8], "case_D_hat0": [0.2, 0.7]}
-    table |= {"scenarios": [{"name": "noisy", "noise": 0.001}]}
+    table |= {"scenarios": [{"name": "noisy", "relative_noise": 0.001}]}
     chosen = pipeline(evaluate=table, tune={"free": [], "bounds": {"b": [1.0, 1.0]}, "evaluations": 6})
     result = tuned(chosen)
     assert [number.name for number in result.numbers] == ["gamma"]  # b is held
@@ -282,7 +282,7 @@ t_end = 12.0
 case_t_end = 12.0
 dt = 0.002
 nx = 11
-scenarios = [{ name = "noisy", noise = 0.001 }]
+scenarios = [{ name = "noisy", relative_noise = 0.001 }]
 
 [tune]
 starts = 2

@@ -43,8 +43,8 @@ class Scenario(Section):
     """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
+    relative_noise: PerState | None = None  #: as measurement.relative_noise
     noise: PerState | None = None  #: as measurement.noise
-    absolute: PerState | None = None  #: as measurement.absolute
     bias: PerState | None = None  #: as measurement.bias
     resolution: PerState | None = None  #: as measurement.resolution
     period: Number | None = None  #: as measurement.period

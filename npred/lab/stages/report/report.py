@@ -186,7 +186,13 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
     sensors = []
     for key, value in vars(config.measurement).items():
         if np.any(value):  # noise, jitter and drop are shares
-            unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
+            unit = (
+                plant.time_unit
+                if key in ("period", "delay")
+                else "%"
+                if key in ("relative_noise", "jitter", "drop")
+                else ""
+            )
             numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
             sensors.append(f"{key} {' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip())
     if sensors:
