@@ -18,6 +18,7 @@ from npred.base.errors import MissingError
 from npred.lab import config
 from npred.lab.config.results import Benched, Evaluated, PredictorId
 from npred.lab.config.results.bench import Stops
+from npred.lab.config.results.evaluate import POOR
 from npred.lab.stages.bench import bench
 from npred.lab.stages.evaluate import accuracy, behaviour, evaluate
 from npred.lab.stages.generate import generate
@@ -257,6 +258,9 @@ def test_loops_that_leave_the_data_are_warned_of(evaluated):
     warned = [line for line in task.progress.notes if "outside" in line]
     loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > behaviour.OUTSIDE]
     assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
+    poor = [PredictorId.parse(name) for name, row in result["models"].items() if row["rel_l2"] >= POOR]
+    longer = [line for line in warned if "it predicts poorly, train it longer first" in line]
+    assert loud and len(longer) == sum(PredictorId.parse(c) in poor for c in loud)
 
 
 def still(t, X):

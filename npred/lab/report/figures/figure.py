@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred.lab.config.results import PredictorId
-from npred.lab.report.figures.notation import SUBSCRIPT, plain
 from npred.lab.report.figures.style import (
     HANDLE,
     MEDIA,
@@ -28,6 +27,7 @@ from npred.lab.report.figures.style import (
     log,
     medium,
 )
+from npred.plants.notation import SUBSCRIPT, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
