@@ -186,7 +186,7 @@ def html(loops: "Trajectories") -> str:
 
 
 def _size(panels: int, size: str | tuple[float, float] | None = None) -> tuple[float, float]:
-    """Width and height of their figure, in inches. Raises ConfigError for another size than "article" or two numbers."""
+    """Width and height of their figure, in inches. Raises ConfigError for what is no size."""
     if size is None:
         return 6.4, 1.0 + 1.2 * panels
     if size == "article":

@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 
 import npred
 from npred.base.registry import STAGES, declared_stage
-from npred.cli import app, inspect
+from npred.cli import app, inspect, main
 from npred.lab.config.results import Evaluated
 from npred.lab.store import Question, ResultInput, Store
 
@@ -349,6 +349,43 @@ def test_bad_usage_is_said_by_typer_with_exit_code_2(call: Call, arguments: list
     result = call(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")
     assert re.search(words, result.stderr.splitlines()[-1])
+
+
+def test_a_failure_is_a_document_too(call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    result = call("status", "nothing.toml", "--json")
+    error = json.loads(result.stdout)["error"]
+    assert result.exit_code == 2 and error["kind"] == "ConfigError" and error["exit_code"] == 2
+    assert result.stderr == f"error: {error['message']}\n" and call("status", "nothing.toml").stdout == ""
+    gate = call("status", "--check", "--json")  # which has its answer on stdout already
+    assert gate.exit_code == 3 and set(json.loads(gate.stdout)) == {"stages"}
+    monkeypatch.setattr(inspect, "nodes", lambda *_: 1 / 0)
+    broken = call("status", "--json")
+    assert broken.exit_code == 1 and json.loads(broken.stdout)["error"]["kind"] == "ZeroDivisionError"
+    capsys.readouterr()
+    monkeypatch.setattr(sys, "argv", ["npred", "status", "--nonsense", "--json"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    said = capsys.readouterr()
+    error = json.loads(said.out)["error"]
+    assert error["kind"] == "UsageError" and "--nonsense" in error["message"] and error["message"] in said.err
+
+
+@pytest.mark.parametrize(
+    ("command", "unused"),
+    [
+        ("generate", "--tensorboard"),
+        ("identify", "--tensorboard --wide --dry-run --executor"),
+        ("status", "--jobs"),
+        ("why", "--jobs"),
+        ("tune", "--dry-run --executor"),
+        ("rig", "--jobs --device"),
+    ],
+)
+def test_a_command_has_no_flag_that_it_does_not_use(call: Call, command: str, unused: str):
+    for flag in unused.split():
+        result = call(command, flag, "1")
+        assert result.exit_code == 2 and f"No such option: {flag}" in result.stderr
+    assert "--tensorboard" in call("run", "-h").stdout
 
 
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["run", "-h"], ["help", "run"]])

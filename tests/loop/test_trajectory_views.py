@@ -238,7 +238,7 @@ def test_a_plot_has_the_signals_and_the_size_that_are_asked_for(one):
         assert {text.get_fontsize() for text in texts} == {7}
         with pytest.raises(ConfigError, match="signals: expected one of X, U, x1, x2, D_hat, got 'x3'; did you mean"):
             one.plot(signals=("x3",))
-        with pytest.raises(ConfigError, match="signals: expected at least one of .*, got none"):
+        with pytest.raises(ConfigError, match=r"signals: expected at least one of .*, got none"):
             one.plot(signals=())
         for size in ("paper", (3,), (0, 2)):
             with pytest.raises(ConfigError, match='size: expected "article", or width and height in inches, got '):
