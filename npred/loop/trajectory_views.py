@@ -142,7 +142,7 @@ def _lost(loops: "Trajectories") -> np.ndarray:
 
 def _clip(panel: Any) -> None:
     """Let lost loops leave a panel that has some, so that the others can be seen; alone they leave it REACH times
-    above their first tenth.
+    above the first tenth of what is finite.
     """
     lines = [(line.get_gid(), np.asarray(line.get_ydata(), dtype=float)) for line in panel.lines]
     kept, lost = ([y for of, y in lines if (of == LOST) == is_lost and len(y)] for is_lost in (False, True))
@@ -150,8 +150,10 @@ def _clip(panel: Any) -> None:
         return
     if not any(of == KEPT for of, _ in lines):
         for y in lost:
-            reach = REACH * max(np.abs(y[: max(int(TAIL * len(y)), 1)]).max(), 1.0)
-            kept.append(y[: int(np.argmax(~(np.abs(y) <= reach))) or len(y)])
+            size = np.abs(y[: len(y) if np.isfinite(y).all() else int(np.argmin(np.isfinite(y)))])
+            reach = REACH * size[: max(int(TAIL * len(size)), 1)].max(initial=1.0)
+            kept.append(y[: len(size)][np.maximum.accumulate(size) <= reach])
+    panel.set_autoscaley_on(False)  # the range of all lines overflows
     panel.set_ylim(around(kept, lost))
 
 

@@ -214,6 +214,10 @@ def test_a_lost_loop_leaves_the_picture_and_the_others_are_shown_whole():
         alone[0].figure.canvas.draw()
         for panel, X in zip(alone, lost.X.T, strict=False):
             assert panel.get_ylim()[1] < 1e5 and panel.get_ylim()[1] > np.nanmax(X[:100])
+        far = npred.simulate(
+            plant, heun, D_hat=0, **settings | {"t_end": 200}
+        )  # gone before a tenth of the time is over
+        far.plot()[0].figure.canvas.draw()
         assert not trajectory_views._lost(loops(t_end=2.0)).any()
         pyplot.close("all")
 

@@ -274,6 +274,14 @@ def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, me
     assert f'width="{MEDIA[medium].width * 72:g}pt"' in (tmp_path / "a/some.svg").read_text()
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_loop_that_is_lost_leaves_a_panel_without_a_word(tmp_path):
+    t, huge = np.linspace(0, 1, 5), np.array([0, 1, 1.7e308, -1.7e308, np.nan])
+    panel = Panel("x", "Lost.", figure_module.curves([(LineStyle("ink"), t, huge)], "t", ylim=(-1, 2)))
+    inline(panel, "a")
+    write(Figure("lost", "Lost", "Lost.", (panel,)), tmp_path)
+
+
 def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
     """A thread comes into its medium while another one is in the middle of drawing in its own."""
     inside, gone = Event(), Event()

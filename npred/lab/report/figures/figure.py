@@ -80,11 +80,11 @@ def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **l
         return np.where(np.isfinite(values) & (values > 0), values, np.nan) if side in logarithmic else values
 
     def draw(axis: Axes) -> None:
+        axis.set(xlabel=xlabel, **limits)  # first, or the range of lost loops is found too, and overflows
         for style, x, y, *lows in lines:
             axis.plot(shown("x", x), shown("y", y), **style.line)
             for low in lows:
                 axis.fill_between(x, shown("y", low), shown("y", y), color=style.colour, alpha=0.14, linewidth=0)
-        axis.set(xlabel=xlabel, **limits)
         log(axis, *logarithmic)
 
     return draw
