@@ -33,7 +33,7 @@ def _documented() -> int:
     """The exit code of the command; wrong usage, as a flag that there is not, is a document on stdout too."""
     try:
         return app(standalone_mode=False) or 0
-    except Exception as error:  # typer's, which it has of its own or from click, by its version
+    except Exception as error:  # of typer, or of click in older versions of it
         if not (isinstance(code := getattr(error, "exit_code", None), int) and hasattr(error, "show")):
             raise
         error.show()  # type: ignore[attr-defined]

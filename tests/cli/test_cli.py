@@ -540,7 +540,7 @@ def test_no_answer_of_a_stage_moves_the_cursor(call: Call, monkeypatch: pytest.M
 def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: str):
     result = call(name, "--help")
     words = " ".join(result.stdout.replace("│", " ").split())
-    assert result.exit_code == 0 and declared_stage(name).help in words and "--dry-run" in words
+    assert result.exit_code == 0 and declared_stage(name).help in words and "--force" in words
 
 
 @pytest.mark.parametrize(("text", "said"), [("\nlost", "lost"), ("", "no message"), (" \n ", "no message")])
