@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, flag, rewritable, writable
+from npred.cli.options import Working, flag, rewritable, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import BeforeAfter, Tuned
@@ -20,7 +20,7 @@ from npred.plants import Plant
 
 
 def tune(
-    options: Planned,
+    options: Working,
     *,
     free: Annotated[
         list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")

@@ -17,6 +17,7 @@ import npred
 from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.exports import c_files
+from npred.lab import config
 
 TEXT = """
 plant = "activator_repressor"
@@ -92,6 +93,14 @@ def test_a_graph_that_differs_is_refused(export):
     done = export("onnx", "--atol", "0")
     assert done.exit_code == 1 and "expected P and U within 0 of the model" in done.stderr
     assert not list(Path().iterdir())
+
+
+def test_a_pipeline_without_a_model_leads_to_the_controller(export, trained):
+    file = trained / "p.toml"
+    done = export("c", model=str(file))
+    assert done.exit_code == 2 and done.stderr.strip().endswith(
+        f"write {file}:deeponet; without a network, npred export controller {file} --predictor heun"
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,7 +185,9 @@ def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     (tmp_path / "seen.toml").write_text("\n".join(lines))
     done = export("controller", "--predictor", "rk4", "--nx", "21", model=str(tmp_path / "seen.toml"))
     assert done.exit_code == 0, done.output
-    assert "NPRED_N_OUTPUTS = 1" in Path("npred/npred.h").read_text()
+    header = Path("npred/npred.h").read_text()
+    assert "NPRED_N_OUTPUTS = 1" in header and " * X, a sample: S.\n * The state, by EKF: Z, S.\n" in header
+    assert f"#define NPRED_DT {config.load(tmp_path / 'seen.toml').evaluate.dt!r}\n" in header
     assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
 
 

@@ -160,7 +160,8 @@ class Trained(Result):
 class Reported(Result):
     """The page."""
 
-    summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
+    #: three sentences: the error, the closed loop, the time of a call; a caution first where no network is good
+    summary: list[str]
     bytes: int  #: size of the page
 
 
