@@ -178,7 +178,7 @@ def test_it_steps_the_set_points_of_the_table(start, tmp_path):
     (tmp_path / "servo.py").write_text(SERVO)
     table = PIPELINE.replace('"scalar"', '"servo.py:Servo"\nkappa = "lqr"')
     (tmp_path / "short.toml").write_text(table + "setpoints.aim = { at = [3.0], to = [1.5] }\n")
-    process = start("--seconds", "9", "--delay", "0.05")
+    process = start("--seconds", "9", "--latency", "0.05")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert json.loads(out)["radius"] < 0.15
