@@ -49,7 +49,7 @@ class Called:
 
 def microseconds(plant: npred.plants.Plant, method: str, loops: int, steps: int, adapts: bool) -> float:
     """A control step of one loop out of so many side by side."""
-    predictor = npred.predictor(method, plant, nx=METHODS[method])
+    predictor = npred.predictor(plant, method, nx=METHODS[method])
     law = npred.DelayAdaptation(gamma=1.0, bounds=(0.2, 0.4)) if adapts else None
     X0 = np.linspace(-0.3, 0.3, 2 * loops).reshape(loops, 2)
     settings = {"D": 0.3, "D_hat": 0.3, "X0": X0, "dt": 0.01, "adaptation": law, "progress": False}

@@ -101,7 +101,7 @@ def clocked(pipeline: str, nx: int, flags: list[str]) -> Iterator[tuple[str, dic
         for method in ("heun", "rk4"):
             observer = npred.observers.EKF(plant, outputs=plant.states[1:2])
             controller = npred.controller(
-                plant, npred.predictor(method, plant, nx), law, dt, D_hat=2.0, actuator="history", observer=observer
+                plant, npred.predictor(plant, method, nx), law, dt, D_hat=2.0, actuator="history", observer=observer
             )
             files = c_controller.sources(controller)
             for kind, step in {"EKF": PLAIN, "EKF and stamps": STAMPED}.items():

@@ -40,7 +40,7 @@ def main() -> None:
         name: npred.load(asked.model, store=asked.store, nx=NX, runtime=name) for name in runtimes.RUNTIMES.builtin
     }
     plant = networks["torch"].plant
-    for name, predictor in {"rk4": npred.predictor("rk4", plant, NX), **networks}.items():
+    for name, predictor in {"rk4": npred.predictor(plant, "rk4", NX), **networks}.items():
         print(row(name, predictor, plant), flush=True)
 
 

@@ -29,7 +29,7 @@ import numpy as np
 import npred
 
 plant = npred.plant(sys.argv[1])
-rk4 = npred.predictor("rk4", plant, 101)
+rk4 = npred.predictor(plant, "rk4", 101)
 X0 = [sum(span) / 2 for span in plant.box.values()]
 start = time.perf_counter()
 """

@@ -57,7 +57,7 @@ def grows(plant: Plant, D: float, errors: np.ndarray, dt: float) -> np.ndarray:
     """Whether small states grow, for each error of D_hat."""
     rest = plant.equilibrium
     loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, NODES), D=D, D_hat=D + errors, t_end=LENGTH * D, dt=dt, every=5,
+        plant, npred.predictor(plant, "rk4", NODES), D=D, D_hat=D + errors, t_end=LENGTH * D, dt=dt, every=5,
         X0=rest + NEAR * np.maximum(1, np.abs(rest)), u0="equilibrium", actuator="history", progress=False,
     )  # fmt: skip
     gaps, count = np.abs(loop.X - rest).max(axis=-1), len(loop.t)
@@ -124,7 +124,7 @@ class Off(Predictor):
 
     def __init__(self, plant: Plant, e: float) -> None:
         super().__init__(plant, 101)
-        self.exact, self.e = npred.predictor("rk4", plant, 101), e
+        self.exact, self.e = npred.predictor(plant, "rk4", 101), e
 
     def predict(self, X, u, D_hat, t):
         """P, (B, nx, n)."""
@@ -151,7 +151,7 @@ def simulated_gains(plant: Plant, gain: float) -> None:
             wrong = plant.controlled(off)
             start = {"X0": plant.equilibrium, "u0": plant.u_equilibrium, "D_hat": D_hat, "adaptation": None}
             loop = npred.simulate(
-                wrong, npred.predictor("rk4", wrong, 101), D=1.0, t_end=200.0, dt=0.01, progress=False, **start
+                wrong, npred.predictor(wrong, "rk4", 101), D=1.0, t_end=200.0, dt=0.01, progress=False, **start
             )
             shown.append(f"{np.abs(loop.X[-5000:] - plant.equilibrium).max() / gain / e:.3g} at {e:g}")
         print(f"  D_hat = {D_hat:g}: {', '.join(shown)}", flush=True)

@@ -76,7 +76,7 @@ def of_networks(models: list[str]) -> None:
         data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
         law = conditions.adaptation(config.load(pipeline).evaluate, network.plant)
         u = grid.refine(data.u, network.nx)
-        exact = npred.predictor("rk4", network.plant, network.nx)(data.X, u, data.D_hat)
+        exact = npred.predictor(network.plant, "rk4", network.nx)(data.X, u, data.D_hat)
         both = network(data.X, u, data.D_hat), exact
         ours, right = (law.rate(network.plant, data.X, u, P, data.D_hat, 0.0) for P in both)
         gap, largest = np.abs(ours - right), np.abs(right).max()
@@ -89,7 +89,7 @@ def main() -> None:
         of_networks(sys.argv[1:])
         return
     plant = npred.plant("activator_repressor")
-    rk4 = npred.predictor("rk4", plant, nx=51)
+    rk4 = npred.predictor(plant, "rk4", nx=51)
     laws = {"compiled": npred.DelayAdaptation, "right, by hand": ByHand, "the notebook's": Notebook}
     rows = []
     for bounds in (None, [[0.0, np.inf]]):

@@ -30,7 +30,7 @@ def mesh() -> None:
             gaps = []
             for nx in (101, round(1 / dt) + 1):
                 run = npred.simulate(
-                    plant, npred.predictor("rk4", plant, nx), D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=100.0, dt=dt,
+                    plant, npred.predictor(plant, "rk4", nx), D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=100.0, dt=dt,
                     adaptation=law, input_bounds=clip, every=round(1 / dt),
                 )  # fmt: skip
                 gaps.append(f"{run.D_hat[-1] / limit - 1:.3%} on {nx} nodes")
@@ -61,7 +61,7 @@ def tracking() -> None:
     for X0 in (0.0, 0.5):
         for dt in (0.01, 0.005):
             run = npred.simulate(
-                plant, npred.predictor("rk4", plant, 101), D=1.0, D_hat=[0.8, 1.2], X0=[X0], t_end=400.0, dt=dt,
+                plant, npred.predictor(plant, "rk4", 101), D=1.0, D_hat=[0.8, 1.2], X0=[X0], t_end=400.0, dt=dt,
                 adaptation=law, every=round(100 / dt),
             )  # fmt: skip
             ends = "; ".join(f"D_hat({t:g}) = {a:.4f}, {b:.4f}" for t, (a, b) in zip(run.t, run.D_hat.T, strict=True))
@@ -87,7 +87,7 @@ def order() -> None:
     for name in ("heun", "rk4"):
         errors = []
         for nx in nodes:
-            method = npred.predictor(name, plant, nx)
+            method = npred.predictor(plant, name, nx)
             run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=[0.06, 12.0], t_end=2.0, dt=dt)
             held = run.U[k - 400 : k, 0]
             pieces = lambda s, middle, held=held: held[int(middle / dt)]  # noqa: E731
@@ -112,7 +112,7 @@ def margin() -> None:
             low, high = 0.5, 1.0
             while high - low > 1e-4:
                 a = (low + high) / 2
-                run = npred.simulate(plant, npred.predictor("rk4", plant, nx), X0=[a, a, a], t_end=6.0, dt=dt)
+                run = npred.simulate(plant, npred.predictor(plant, "rk4", nx), X0=[a, a, a], t_end=6.0, dt=dt)
                 low, high = (a, high) if run.infeasible == -1 else (low, a)
             print(f"dt = {dt:<7g} nx = {nx:<4d} a = {low:.4f}  lowest margin, exact: {lowest(low):.4f}", flush=True)
 
@@ -124,7 +124,7 @@ def published() -> None:
     from npred_experiments import unicycle_time_varying as varying
 
     plant, score = pomet.plant(), []
-    loop = constant.meant_loop(npred.predictor("rk4", plant, constant.NODES + 1), constant.draws())
+    loop = constant.meant_loop(npred.predictor(plant, "rk4", constant.NODES + 1), constant.draws())
     for X, U, D in zip(loop.X, loop.U, constant.draws()[1], strict=True):
         i = (loop.t + D) / constant.DT
         inside = i <= len(X) - 1
@@ -180,10 +180,10 @@ def delay() -> None:
     for name, (D, X0, t_end) in cases.items():
         plant, shown = npred.plant(name), []
         loop = {"D": D, "D_hat": D, "X0": X0, "t_end": t_end, "actuator": "history"}
-        fine = npred.simulate(plant, npred.predictor("rk4", plant), dt=D / 3000, every=10, **loop)
+        fine = npred.simulate(plant, npred.predictor(plant, "rk4"), dt=D / 3000, every=10, **loop)
         size = np.abs(fine.X - plant.equilibrium).max(axis=0)
         for steps in (300, 60, 20, 10, 5, 2, 1):
-            run = npred.simulate(plant, npred.predictor("rk4", plant), dt=D / steps, **loop)
+            run = npred.simulate(plant, npred.predictor(plant, "rk4"), dt=D / steps, **loop)
             exact = np.stack([np.interp(run.t, fine.t, x) for x in fine.X.T], axis=-1)
             shown.append(f"{steps}: {(np.abs(run.X - exact) / size).max():.1%}")
         print(f"{name}, D / dt = {', '.join(shown)}", flush=True)

@@ -49,7 +49,7 @@ def made(name: str, gate: float | None) -> Controller:
     plant = npred.plant(name)
     D_hat = None if plant.declares_delay else D
     return npred.controller(
-        plant, npred.predictor("rk4", plant, NX), None, dt, D_hat=D_hat, actuator="history", outlier_limit=gate
+        plant, npred.predictor(plant, "rk4", NX), None, dt, D_hat=D_hat, actuator="history", outlier_limit=gate
     )
 
 

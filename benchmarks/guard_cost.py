@@ -62,7 +62,7 @@ def calls(runs: dict[str, Predictor], reference: candidates.Reference) -> dict[s
 def estimates(guard: Guarded, data) -> None:
     """How often the guard doubts on held-out samples, and its estimate over the true error where that decides."""
     X, u, D_hat, t = data.X, grid.means(data.u, guard.nx), data.D_hat, data.t
-    exact = npred.predictor("rk4", guard.plant, data.u.shape[1])(X, data.u, D_hat, t)[:, -1:]
+    exact = npred.predictor(guard.plant, "rk4", data.u.shape[1])(X, data.u, D_hat, t)[:, -1:]
     P_hat = guard.model(X, u, D_hat, t)
     true = np.abs(metrics.law(guard.plant, P_hat[:, -1:], t, D_hat) - metrics.law(guard.plant, exact, t, D_hat))
     true = true.max(axis=-1)

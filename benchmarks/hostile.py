@@ -55,7 +55,9 @@ def conditions(plant: Plant, pipeline: config.Pipeline, loops: int, t_end: float
         "nominal": nominal,
         "starts from a box 5 times as wide": replace(nominal, X0=np.where(positive, np.abs(wide), wide)),
         **{
-            f"noise {share:.0%}": replace(nominal, table=table.model_copy(update={"measurement": Sensors(noise=share)}))
+            f"noise {share:.0%}": replace(
+                nominal, table=table.model_copy(update={"measurement": Sensors(relative_noise=share)})
+            )
             for share in (0.03, 0.05)
         },
         **{f"D̂(0) = {share:g} D": replace(nominal, D_hat=share * D) for share in (0.1, 4.0)},
@@ -86,7 +88,7 @@ if __name__ == "__main__":
     pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
     network = npred.load(options.model, nx=options.nx, runtime="fused", store=options.store)
     plant = network.plant
-    rk4, guarded = npred.predictor("rk4", plant, options.nx), Guarded(network, options.tolerance)
+    rk4, guarded = npred.predictor(plant, "rk4", options.nx), Guarded(network, options.tolerance)
     name, counts = guarded.reference
     print(f"guarded by shadows, {name} on {', '.join(map(str, counts))} steps, tolerance {guarded.tolerance:g}")
     print("| class | numerical: lost, peak | bare: extra, peak | guarded: extra, peak, fallback |")

@@ -29,13 +29,13 @@ plant = npred.plant("activator_repressor")
 law = npred.DelayAdaptation(gamma=1000.0, b=1.0, bounds=(0.1, 4.0))
 run = dict(D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=20.0, dt=0.005, adaptation=law)
 """
-SIMULATE = f"{LOOP}print(npred.simulate(plant, npred.predictor('rk4', plant), **run))"
-PLOT = f"{LOOP}npred.simulate(plant, npred.predictor('rk4', plant), **run).plot(D=1.0)[0].figure.savefig('loop.pdf')"
+SIMULATE = f"{LOOP}print(npred.simulate(plant, npred.predictor(plant, 'rk4'), **run))"
+PLOT = f"{LOOP}npred.simulate(plant, npred.predictor(plant, 'rk4'), **run).plot(D=1.0)[0].figure.savefig('loop.pdf')"
 LOAD = f"{LOOP}model = npred.load('{{model}}', store='{{store}}')\n"
 RUN = "print(npred.simulate(plant, model, **run))"
 GUARD = "print(npred.simulate(plant, npred.guarded(model), **run))"
 STEP = """
-controller = npred.controller(plant, model, law, 0.005, D_hat=2.0)
+controller = npred.controller(plant, model, law, 0.005, D_hat=2.0, actuator="measured")
 print(controller.step([0.03, 30.0], [[0.0]] * 101))
 """
 

@@ -260,7 +260,7 @@ def run(
     plant, steps = case.plant, round((t_end or case.t_end) / case.dt)
     named = {"t_end": t_end or case.t_end, "dt": case.dt, "u0": case.u0, "actuator": "history", "progress": False}
     begun = time.perf_counter()
-    predictor = predictor or npred.predictor("rk4", plant, 31)
+    predictor = predictor or npred.predictor(plant, "rk4", 31)
     loop = npred.simulate(plant, predictor, D=D, D_hat=case.D, X0=X0, safety=safety, **named)
     return loop, (time.perf_counter() - begun) / len(X0) / steps * 1e6
 

@@ -132,7 +132,7 @@ def main() -> None:
     pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))
     network = npred.load(options.model, nx=pipeline.evaluate.nx, store=options.store, runtime="fused")
     plant = network.plant
-    rk4 = npred.predictor(pipeline.evaluate.predictor, plant, network.nx)
+    rk4 = npred.predictor(plant, pipeline.evaluate.predictor, network.nx)
     runs = {"numerical": rk4, "bare": network, "guarded": npred.guarded(network, options.tolerance)}
     found: list[dict[str, Outcome]] = []
     late: list[dict[str, Outcome]] = []  # of those that are lost, or what became of them

@@ -244,14 +244,14 @@ def designed(plant: Plant) -> Plant:
 def contenders(task: Task, bounded: bool) -> dict[str, Callable[[], Step]]:
     plant, D, nx = task.limited, task.D, task.pending + 1
     bounds = task.bounds if bounded else [(-np.inf, np.inf)] * plant.m
-    rk4, euler = (npred.predictor(method, plant, nx) for method in ("rk4", "euler"))
+    rk4, euler = (npred.predictor(plant, method, nx) for method in ("rk4", "euler"))
     once, converged = (Problem(task, bounded, until) for until in (False, True))
     each = {
         "P = X": lambda: by_law(task, rk4, 0.0, bounds),
         "replayed commands": lambda: by_law(task, euler, D, bounds),
         "linear predictor": lambda: by_law(task, LinearPredictor(plant, nx), D, bounds),
         "RK4 predictor": lambda: by_law(task, rk4, D, bounds),
-        "RK4 predictor, lqr": lambda: by_law(task, npred.predictor("rk4", designed(plant), nx), D, bounds),
+        "RK4 predictor, lqr": lambda: by_law(task, npred.predictor(designed(plant), "rk4", nx), D, bounds),
         "RK4 predictor, filter": lambda: by_law(task, rk4, D, bounds, npred.SafetyFilter()),
         "acados, one iteration": lambda: Nmpc(once),
         "acados, converged": lambda: Nmpc(converged),

@@ -84,7 +84,7 @@ def _fused(network: str, nx: int, precision: type = np.float32) -> Any:
 def _numerical(plant: str, method: str, nx: int) -> Any:
     import npred
 
-    return npred.predictor(method, npred.plant(plant), nx=nx)
+    return npred.predictor(npred.plant(plant), method, nx=nx)
 
 
 def _guarded() -> Any:
@@ -167,7 +167,7 @@ def generate() -> Call:
 
 def cold() -> Call:
     """A process with an empty cache that runs a loop."""
-    loop = "npred.simulate(p, npred.predictor('rk4', p), X0=[1.0, 0.0], D=0.5, D_hat=0.5, t_end=5)"
+    loop = "npred.simulate(p, npred.predictor(p, 'rk4'), X0=[1.0, 0.0], D=0.5, D_hat=0.5, t_end=5)"
     text = f"import npred; p = npred.plant('van_der_pol'); {loop}"
 
     def call() -> None:

@@ -95,7 +95,7 @@ def timing():
     )
     print("|---|---|---|---|---|---|---|---|")
     for name, (plant, dt, D, seconds, unknown) in PLANTS.items():
-        D, predictor = D + SHIFT * dt, npred.predictor("rk4", plant, nx=NX)
+        D, predictor = D + SHIFT * dt, npred.predictor(plant, "rk4", nx=NX)
         for law in [None, npred.DelayObserver(bounds=(0.25 * D, 2 * D))] if unknown else [None]:
             ideal, real = (
                 npred.simulate(
@@ -122,7 +122,7 @@ def stops():
         plant, dt, D, seconds, _ = PLANTS[name]
         for label, then in {"hold": "hold", "zero": "zero", "law": plant.declaration.kappa}.items():
             run = npred.simulate(
-                plant, npred.predictor("rk4", plant, nx=NX), D=D, D_hat=D, X0=starts(plant), t_end=seconds, dt=dt,
+                plant, npred.predictor(plant, "rk4", nx=NX), D=D, D_hat=D, X0=starts(plant), t_end=seconds, dt=dt,
                 actuator="history", timing=npred.Timing(jitter=0.3, lost=0.05, stop=0.2, stop_every=1.2),
                 measurement=npred.Measurement(delay=0.01, drop=0.05), progress=False,
                 watchdog=npred.Watchdog(after=0.1, then=then, jump=jump),
@@ -146,7 +146,7 @@ def unmeasured():
     for name, (plant, dt, D, seconds, outputs, resolution) in cases.items():
         full, part = (
             npred.simulate(
-                plant, npred.predictor("rk4", plant, nx=NX), D=D, D_hat=D, X0=starts(plant), t_end=seconds, dt=dt,
+                plant, npred.predictor(plant, "rk4", nx=NX), D=D, D_hat=D, X0=starts(plant), t_end=seconds, dt=dt,
                 every=5, actuator="history", timing=npred.Timing(jitter=0.3, lost=0.05), progress=False,
                 measurement=npred.Measurement(delay=10 * dt, drop=0.05, **sensors), **named,
             )
@@ -172,7 +172,7 @@ def offset():
     errors = []
     for observes in (False, True):
         run = npred.simulate(
-            plant, npred.predictor("rk4", plant, nx=NX), D=D, D_hat=D, X0=starts(plant, 0.5), t_end=60.0, dt=dt,
+            plant, npred.predictor(plant, "rk4", nx=NX), D=D, D_hat=D, X0=starts(plant, 0.5), t_end=60.0, dt=dt,
             actuator="history", truth=heavier, every=20, progress=False, u0="equilibrium",
             timing=npred.Timing(jitter=0.3, lost=0.05), measurement=npred.Measurement(delay=0.01, drop=0.05),
             observer=npred.observers.EKF(plant, offset=True) if observes else None,

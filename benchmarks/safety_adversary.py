@@ -127,7 +127,7 @@ def score(case: Case, system: System, z: np.ndarray) -> tuple[float, bool]:
         "D": delay, "D_hat": case.D, "X0": X0, "dt": case.dt, "u0": lambda t: past(case, before, t),
         "actuator": "history", "safety": npred.SafetyFilter(delay=case.delay), "progress": False,
     }  # fmt: skip
-    rk4 = npred.predictor("rk4", plant, 31)
+    rk4 = npred.predictor(plant, "rk4", 31)
     if npred.simulate(plant, rk4, t_end=case.dt, **named).unkept:
         first = replayed(case, system, X0, delay, before, np.zeros((0, plant.m)))[0]
         return OUTSIDE - min(np.min(system.h(first)), 0.0) / case.size, False

@@ -369,11 +369,11 @@ def controllers() -> dict[str, tuple[Callable[[], Controller], str]]:
         plant = npred.plants.Plant("rail", Rail) if name is Rail else npred.plant(name)
         D = None if plant.declares_delay else D_hat
         return npred.controller(
-            plant, npred.predictor(method, plant, nx), law, 0.01, D_hat=D, actuator="history", **more
+            plant, npred.predictor(plant, method, nx), law, 0.01, D_hat=D, actuator="history", **more
         )
 
     paper, chemostat = map(npred.plant, ("activator_repressor", "chemostat"))
-    heun, euler = npred.predictor("heun", paper, 21), npred.predictor("euler", paper, 21)
+    heun, euler = npred.predictor(paper, "heun", 21), npred.predictor(paper, "euler", 21)
     adapting = npred.DelayAdaptation(1000.0, bounds=(0.1, 4.0))
     observed = {"law": npred.DelayObserver(bounds=(0.1, 1.0), candidates=20), "D_hat": 0.5}
     offset = {"outputs": ("S",), "offset": True}
@@ -381,7 +381,7 @@ def controllers() -> dict[str, tuple[Callable[[], Controller], str]]:
         "plain": (lambda: history("scalar"), "double"),
         "rk4": (lambda: history("cart_pole", method="rk4"), "double"),
         "float": (lambda: history("van_der_pol", method="rk4"), "float"),
-        "law": (lambda: npred.controller(paper, heun, adapting, 0.01, D_hat=2.0), "double"),
+        "law": (lambda: npred.controller(paper, heun, adapting, 0.01, D_hat=2.0, actuator="measured"), "double"),
         "L1": (lambda: history("activator_repressor", npred.L1Adaptation(0.01, bounds=(0.1, 0.5)), 0.2), "double"),
         "observer of the delay": (lambda: history("van_der_pol", **observed), "double"),
         "guard": (lambda: npred.controller(

@@ -213,7 +213,7 @@ class Stepped(NamedTuple):
 def controller(case: Case, **parts: Any) -> Controller:
     """A controller that does not know the delay."""
     law = npred.DelayObserver(bounds=(0.3 * case.D, 3.0 * case.D))
-    predictor = parts.pop("predictor", None) or npred.predictor("rk4", case.plant, nx=31)
+    predictor = parts.pop("predictor", None) or npred.predictor(case.plant, "rk4", nx=31)
     parts = {"actuator": "history", "D_hat": case.D_hat, "u0": "equilibrium"} | parts
     return npred.controller(case.plant, predictor, law, case.dt, **parts)
 

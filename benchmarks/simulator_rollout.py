@@ -59,7 +59,7 @@ def main() -> None:
     box, table = np.array([arm.box[name] for name in arm.states]), pipeline.evaluate
     X0 = randomness.generator(1, "simulator_rollout").uniform(box[:, 0], box[:, 1], (STARTS, arm.n))
     network = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=table.nx)
-    exact, allowed = (tracking(arm, run, X0, table) for run in (npred.predictor("rk4", arm, table.nx), network))
+    exact, allowed = (tracking(arm, run, X0, table) for run in (npred.predictor(arm, "rk4", table.nx), network))
     network_us = call_us(network, X0[0], arm.u_target(0.0), table.D)
     print(f"D = {table.D:g} s, {STARTS} loops of {table.case_t_end:g} s: those kept, tracking error, µs per prediction")
     print(row("RK4, exact", exact), f"{(table.nx - 1) * engine_us('RK4', table.D):.0f}")

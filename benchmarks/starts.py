@@ -39,7 +39,7 @@ def damaged(network: Any, error: float) -> Predictor:
     operator = copy.deepcopy(network.operator.module(plant)).double().requires_grad_(True)
     domain = operator.domain
     rows = domain.X, grid.means(domain.u, network.nx), domain.D_hat, domain.t
-    U = torch.as_tensor(plant.kappa(npred.predictor("rk4", plant, network.nx)(*rows)[:, -1], domain.t + domain.D_hat))
+    U = torch.as_tensor(plant.kappa(npred.predictor(plant, "rk4", network.nx)(*rows)[:, -1], domain.t + domain.D_hat))
     inputs = [torch.as_tensor(a) for a in (*rows[:3], *([plant.phase(domain.t)] if plant.phased else []))]
     for _ in range(1000):
         gaps = (plant.kappa(operator(*inputs)[:, -1], torch.as_tensor(domain.t + domain.D_hat)) - U).abs().amax(dim=-1)
@@ -111,11 +111,11 @@ if __name__ == "__main__":
     nominal = pipeline.generate.model_copy(update={"rollouts": options.loops, "samples": options.loops, "explore": 0.0})
     drawn = sampling.starts(SEED, nominal, network.plant, range(options.loops))
     drawn = (wide(network.plant, drawn[0], options.box), *drawn[1:])
-    rk4 = npred.predictor(pipeline.evaluate.predictor, network.plant, nx)
+    rk4 = npred.predictor(network.plant, pipeline.evaluate.predictor, nx)
     numerical, _ = settled(pipeline, rk4, drawn, options)
     print(f"{options.loops} loops of {t_end:g} s, box {options.box:g} times as wide, tolerance {options.tolerance:g}")
     print(f"numerical: {numerical.sum()} lost", flush=True)
-    finer = npred.predictor(pipeline.evaluate.predictor, network.plant, 2 * nx - 1)
+    finer = npred.predictor(network.plant, pipeline.evaluate.predictor, 2 * nx - 1)
     for name, predictor in ((network.name, network), (guarded.name, guarded), ("twice the nodes", finer)):
         lost, share = settled(pipeline, predictor, drawn, options)
         others = f"{(lost & ~numerical).sum()} lost that it keeps, {(numerical & ~lost).sum()} kept that it loses"

@@ -16,7 +16,7 @@ from npred import plants
 from npred.base import progress
 from npred.lab import config
 from npred.lab.config import Tune
-from npred.lab.stages.tuning import Loops, Yardstick, gained, said, tune
+from npred.lab.stages.tuning import Loops, Yardstick, compared, said, tune
 
 SETS = {  # pipeline: what is set in it
     "paper": ["evaluate.t_end=40.0", "evaluate.case_t_end=40.0"],
@@ -45,23 +45,18 @@ def rows(name: str, cells: int, evaluations: int, jobs: int) -> list[tuple[str, 
     costs = [float(yardstick.costs(training.run(numbers, _silent)).mean()) for numbers in grid]
     best = grid[int(np.argmin(costs))]
     judged_before, judged = (yardstick.costs(held_out.run(numbers, _silent)) for numbers in (before, best))
-    gain, interval = gained(judged_before, judged, np.random.default_rng(0))
-    (first, tuned), (first_held_out, tuned_held_out) = result.training.cost, result.held_out.cost
-    answer = _share(result.gain, result.interval) + ("" if result.gained else ", nothing to gain")
+    by_grid = compared(judged_before, judged, np.random.default_rng(0))
+    training_cost, held_out_cost = result.training.cost, result.held_out.cost
     return [
-        (name, "before", said(before), f"{first:.3f}", f"{first_held_out:.3f}", "", ""),
-        ("", "CMA-ES", said({n.name: n.after for n in result.numbers}), f"{tuned:.3f}", f"{tuned_held_out:.3f}", answer,
-         str(result.evaluations)),
-        ("", "grid", said(best), f"{min(costs):.3f}", f"{judged.mean():.3f}", _share(gain, interval), str(len(grid))),
+        (name, "before", said(before), f"{training_cost.before:.3f}", f"{held_out_cost.before:.3f}", "", ""),
+        ("", "CMA-ES", said({n.name: n.after for n in result.numbers}), f"{training_cost.after:.3f}",
+         f"{held_out_cost.after:.3f}", held_out_cost.change(), str(result.evaluations)),
+        ("", "grid", said(best), f"{min(costs):.3f}", f"{judged.mean():.3f}", by_grid.change(), str(len(grid))),
     ]  # fmt: skip
 
 
 def _silent(steps: int) -> None:
     pass
-
-
-def _share(gain: float, interval: tuple[float, float]) -> str:
-    return f"{gain:.1%} ({interval[0]:.1%} to {interval[1]:.1%})"
 
 
 def main() -> None:

@@ -45,9 +45,9 @@ SCAN = {
 }
 STEPS = [0.02, 0.01, 0.005, 0.0025]  # s
 HILL = {name: value for name, value in PLANT.parameters.items() if name.startswith("K")}
-NOISE_1 = {"measurement": npred.Measurement(noise=0.01)}
-NOISE_3 = {"measurement": npred.Measurement(noise=0.03)}
-SAMPLED = {"measurement": npred.Measurement(noise=0.01, period=0.05)}
+NOISE_1 = {"measurement": npred.Measurement(relative_noise=0.01)}
+NOISE_3 = {"measurement": npred.Measurement(relative_noise=0.03)}
+SAMPLED = {"measurement": npred.Measurement(relative_noise=0.01, period=0.05)}
 
 
 class Follower:
@@ -96,7 +96,7 @@ def off(factor: float) -> dict[str, Any]:
 REALITIES = {
     "nothing else": {},
     "3 % noise": NOISE_3,
-    "1 % noise each 50 ms ± 15 ms": {"measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.3)},
+    "1 % noise each 50 ms ± 15 ms": {"measurement": npred.Measurement(relative_noise=0.01, period=0.05, jitter=0.3)},
     "plant 3 % above its model": off(1.03),
     "plant 3 % below": off(0.97),
     "disturbance .002 sin(.7 t)": wave(0.002),
@@ -136,7 +136,7 @@ def simulated(plant: npred.plants.Plant, law: str, D: Any, D_hat: Any, X0: Any, 
         D, D_hat = np.meshgrid(D, D_hat, indexing="ij")
     settings = {"t_end": 60.0, "dt": 0.005} | settings
     return npred.simulate(
-        plant, npred.predictor("rk4", plant, nx), D=D, D_hat=D_hat, X0=X0, adaptation=kind(gamma, 1.0, bounds),
+        plant, npred.predictor(plant, "rk4", nx), D=D, D_hat=D_hat, X0=X0, adaptation=kind(gamma, 1.0, bounds),
         actuator=actuator, **settings,
     )  # fmt: skip
 
@@ -221,7 +221,7 @@ def sampled_table(first: int = 0) -> str:
                 start = {
                     "D": rng.uniform(*D, SCANNED), "D_hat": rng.uniform(*D_hat, SCANNED),
                     "X0": rng.uniform(low, high, (SCANNED, plant.n)), "bounds": bounds, "dt": 0.01,
-                    "measurement": npred.Measurement(noise=noise, period=period, seed=seed),
+                    "measurement": npred.Measurement(relative_noise=noise, period=period, seed=seed),
                 }  # fmt: skip
                 runs = [simulated(plant, law, gamma=gamma, **start) for law in few]
                 measured, observed = (kept(plant, run, 0.2 if noise else metrics.SETTLED) for run in runs)
@@ -268,7 +268,7 @@ def steps_table() -> str:
         for D_hat in (1.2, 1.5):
             ends = [
                 npred.simulate(
-                    PLANT, npred.predictor("rk4", PLANT, 51), D=1.0, D_hat=D_hat, X0=[0.03, 30.0], t_end=25.0, dt=dt,
+                    PLANT, npred.predictor(PLANT, "rk4", 51), D=1.0, D_hat=D_hat, X0=[0.03, 30.0], t_end=25.0, dt=dt,
                     adaptation=npred.L1Adaptation(1.0, 1.0, BOUNDS, epsilon), actuator="history",
                 ).D_hat[-1] for dt in STEPS
             ]  # fmt: skip
@@ -279,7 +279,7 @@ def steps_table() -> str:
 def cost_table() -> str:
     """A control step of the paper's plant with the observers and with D_hat frozen, side by side, one loop."""
     frozen, observers = None, npred.DelayObserver(bounds=BOUNDS)
-    rk4, times = npred.predictor("rk4", PLANT, 101), np.empty((15, 2))
+    rk4, times = npred.predictor(PLANT, "rk4", 101), np.empty((15, 2))
     for row in times:
         for i, law in enumerate((frozen, observers)):
             start = time.process_time()

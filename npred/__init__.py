@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from npred.lab.scheduler.models import load
     from npred.lab.scheduler.runs import evaluate, generate, train
     from npred.lab.stages.bench.comparison import compare
+    from npred.loop import lyapunov as lyapunov
+    from npred.loop import metrics as metrics
     from npred.loop.closed_loop import simulate
     from npred.loop.controller import controller
     from npred.loop.iosystem import as_iosystem
@@ -71,7 +73,7 @@ _MODULES = {"errors": "base.errors", "laws": "laws", "observers": "estimation.ob
 _MODULES |= {"metrics": "loop.metrics", "lyapunov": "loop.lyapunov"}
 
 
-def __getattr__(name: str) -> Any:
+def _attribute(name: str) -> Any:
     """The public names, imported on first use: torch takes seconds that `npred --help` has no use for."""
     if name not in (*_HOME, *_MODULES):
         from npred.base.errors import similar
@@ -82,6 +84,10 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         return importlib.import_module(f"npred.{_MODULES[name]}")
     return getattr(importlib.import_module(f"npred.{_HOME[name]}"), name)
+
+
+if not TYPE_CHECKING:  # a checker has the imports above, and says which names there are not
+    __getattr__ = _attribute
 
 
 def __dir__() -> list[str]:

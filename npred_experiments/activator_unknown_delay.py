@@ -132,7 +132,7 @@ def plant() -> Plant:
 
 def meant(predictor: npred.Predictor | None = None, limits: tuple[float, float] = CLIPPED) -> tuple[float, ...]:
     """The end of npred's loop: right plant and derivatives, exact transport, U within the limits."""
-    rk4 = npred.predictor("rk4", plant(), nx=NODES + 1)
+    rk4 = npred.predictor(plant(), "rk4", nx=NODES + 1)
     loop = meant_loop(predictor or rk4, D_HAT, X0, (STEPS - 1) * DT, limits=limits)
     return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
 
@@ -186,7 +186,7 @@ LOOPS = {
     ),
     AS_MEANT: NetworkLoop(
         plant,
-        lambda: npred.predictor("rk4", plant(), nx=NODES + 1).predict,
+        lambda: npred.predictor(plant(), "rk4", nx=NODES + 1).predict,
         partial(explore, NODES + 1),
         by_network_meant,
         calls=3000,

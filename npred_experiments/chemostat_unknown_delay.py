@@ -115,7 +115,7 @@ def meant_loop(predictor: npred.Predictor, D: Any, D_hat: Any = D_HAT, start: An
 
 def meant(D: float, dt: float = DT, predictor: npred.Predictor | None = None) -> tuple[float, ...]:
     """The end of that loop. It depends on dt: signs at nodes and steps have no limit, and another dt ends elsewhere."""
-    loop = meant_loop(predictor or npred.predictor("rk4", plant(), nx=NODES + 1), D, dt=dt)
+    loop = meant_loop(predictor or npred.predictor(plant(), "rk4", nx=NODES + 1), D, dt=dt)
     return (*loop.X[-1].tolist(), float(loop.D_hat[-1]))
 
 
@@ -167,7 +167,7 @@ LOOPS = {
     ),
     AS_MEANT: NetworkLoop(
         plant,
-        lambda: npred.predictor("rk4", plant(), nx=NODES + 1).predict,
+        lambda: npred.predictor(plant(), "rk4", nx=NODES + 1).predict,
         partial(explore, NODES + 1),
         by_network_meant,
         calls=STEPS,

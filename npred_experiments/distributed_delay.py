@@ -58,7 +58,7 @@ def published(dt: float = DT, start: tuple[float, float] = START) -> np.ndarray:
 def held(cells: int) -> np.ndarray:
     """The same with npred's RK4 for commands that are held over h / cells: of first order in it."""
     plant = plants.make("coasting_pendulum", CoastingPendulum)
-    predictor = npred.predictor("rk4", plant, nx=cells + 1)
+    predictor = npred.predictor(plant, "rk4", nx=cells + 1)
     dt, c, x = H / cells, np.full(cells, U0), np.array(START)
     sent: list[float] = []
     while (left := T - len(sent) * dt) > 0:

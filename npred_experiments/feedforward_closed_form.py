@@ -88,7 +88,7 @@ def _weights(at: float) -> np.ndarray:
 def meant(dt: float = 0.001) -> float:
     """The largest |Z - closed form| of npred's loop, whose U is held over each step of dt: of first order in dt."""
     plant = npred.plant("strict_feedforward2")
-    loop = npred.simulate(plant, npred.predictor("rk4", plant), D=D, D_hat=D, X0=Z0, t_end=T, dt=dt)
+    loop = npred.simulate(plant, npred.predictor(plant, "rk4"), D=D, D_hat=D, X0=Z0, t_end=T, dt=dt)
     return float(np.abs(loop.X - closed_form(loop.t)).max())
 
 

@@ -117,7 +117,7 @@ def held(dt: float = DT, t_end: float = T) -> np.ndarray:
     """P(0), U(0+) and |x(t_end)| with npred's RK4, each command held over dt, which divides 0.05 s: of first order."""
     plant = plants.make("inexactly_predicted", InexactlyPredicted)
     ahead, late1, late2 = (round(D / dt) for D in (D0, D1, D2))
-    predictor = npred.predictor("rk4", plant, nx=ahead + 1)
+    predictor = npred.predictor(plant, "rk4", nx=ahead + 1)
     past, x = np.zeros((late2, 2)), START  # the commands of the last 0.5 s
     first = np.zeros(4)
     for k in range(round(t_end / dt)):

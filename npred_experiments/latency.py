@@ -58,7 +58,7 @@ def numerical(plant: Plant, calls: PredictorInputs, methods: Methods) -> list[Pr
     """The times of numerical predictors, and the largest of their errors at the end of the delay."""
     exact, rows = _ends(plant, calls, "rk4", FINE), []
     for setting, (method, nx) in methods.items():
-        ms = milliseconds(npred.predictor(method, plant, nx=nx), calls.on(nx))
+        ms = milliseconds(npred.predictor(plant, method, nx=nx), calls.on(nx))
         error = _largest(_ends(plant, calls, method, nx) - exact)
         rows.append(PredictionTime(predictor=NUMERICAL, setting=setting, ms=ms, error=error))
     return rows
@@ -98,7 +98,7 @@ def _median(call: timing.Call) -> float:
 def _ends(plant: Plant, calls: PredictorInputs, method: str, nx: int) -> np.ndarray:
     """P(1), (N, n)."""
     X, u, D_hat, t = calls.on(nx)
-    return npred.predictor(method, plant, nx=nx).predict(X, u, D_hat, t)[:, -1]
+    return npred.predictor(plant, method, nx=nx).predict(X, u, D_hat, t)[:, -1]
 
 
 def _largest(errors: np.ndarray) -> float:

@@ -69,7 +69,7 @@ def by_printed_denominator(x0: float, steps: int = 400) -> float:
 def meant(x0: float, nodes: int = 401) -> float:
     """P2 by npred's predictor of plants that declare their delay."""
     plant = plants.make("second_input", SecondInput)
-    predictor = npred.predictor("rk4", plant, nx=nodes)
+    predictor = npred.predictor(plant, "rk4", nx=nodes)
     P = predictor([x0], np.zeros((nodes, 1)), delay(x0, True))
     return float(np.asarray(P)[-1, 0])
 

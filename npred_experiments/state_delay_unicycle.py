@@ -44,7 +44,7 @@ def oracle(X0: tuple[float, ...], end: float = T, step: float = DT) -> np.ndarra
 def meant(start: float, dt: float = DT) -> float:
     """|X(10) - oracle| of npred's loop from (start, start, start); its U is held over each step."""
     plant = plants.make("unicycle_state_delay", UnicycleStateDelay)
-    predictor = npred.predictor("rk4", plant, nx=201)
+    predictor = npred.predictor(plant, "rk4", nx=201)
     loop = npred.simulate(plant, predictor, X0=[start] * 3, t_end=T, dt=dt)
     return float(np.linalg.norm(loop.X[-1] - oracle((start,) * 3)))
 

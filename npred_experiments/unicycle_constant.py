@@ -60,7 +60,7 @@ def shifted_error(X: np.ndarray, P: np.ndarray) -> float:
 
 def rk4() -> Predict:
     """npred's numerical predictor, which networks of the loop as it is meant learn."""
-    return npred.predictor("rk4", pomet.plant(), nx=NODES + 1).predict
+    return npred.predictor(pomet.plant(), "rk4", nx=NODES + 1).predict
 
 
 def meant_loop(predictor: npred.Predictor, runs: Runs) -> Trajectories:
@@ -71,7 +71,7 @@ def meant_loop(predictor: npred.Predictor, runs: Runs) -> Trajectories:
 
 def meant(predictor: npred.Predictor | None = None) -> float:
     """The mean of |P(1, t) - X(t + D)| with each run's own delay."""
-    loop = meant_loop(predictor or npred.predictor("rk4", pomet.plant(), nx=NODES + 1), draws())
+    loop = meant_loop(predictor or npred.predictor(pomet.plant(), "rk4", nx=NODES + 1), draws())
     errors = [_error(loop.t, loop.X[run], loop.P[run], D) for run, D in enumerate(draws()[1])]
     return float(np.mean(errors))
 

@@ -73,7 +73,7 @@ def published_loop(
 @lru_cache(maxsize=64)
 def rk4(b: float) -> npred.Predictor:
     """npred's numerical predictor of the plant with this b."""
-    return npred.predictor("rk4", plants.resolve("unicycle_time_delay", {"b": b}), nx=NODES + 1)
+    return npred.predictor(plants.resolve("unicycle_time_delay", {"b": b}), "rk4", nx=NODES + 1)
 
 
 def meant(predict: Predict | None = None, runs: Runs | None = None) -> float:

@@ -115,7 +115,7 @@ def plant() -> Plant:
 
 def rk4() -> npred.Predictor:
     """npred's numerical predictor, which networks of the loop as it is meant learn."""
-    return npred.predictor("rk4", plant(), nx=NODES)
+    return npred.predictor(plant(), "rk4", nx=NODES)
 
 
 def meant(X0: np.ndarray, predictor: npred.Predictor | None = None, dt: float = DT) -> np.ndarray:
@@ -154,7 +154,7 @@ def first_commands(nodes: int = 2000) -> tuple[float, float]:
 def slow_loop(dt: float, t_end: float, nodes: int = NODES) -> Trajectories:
     """That example by npred, U held over each step of dt."""
     plant = npred.plant("slow_unicycle")
-    predictor = npred.predictor("rk4", plant, nx=nodes)
+    predictor = npred.predictor(plant, "rk4", nx=nodes)
     return npred.simulate(plant, predictor, D=1.0, D_hat=1.0, X0=[0.5, 0.5, 0.5], t_end=t_end, dt=dt)
 
 

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from npred.cli.options import WATCHDOG, Planned, flag
+from npred.cli.options import WATCHDOG, Piped, flag
 
 
 @dataclass(frozen=True)
-class Rigged(Planned):
+class Rigged(Piped):
     """Flags of `npred rig`: its length, its network, and the parts of the controller that are not in [evaluate]."""
 
     seconds: Annotated[float, flag("How long it runs.")] = 60.0

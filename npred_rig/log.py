@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves
-from npred.lab.report.figures.notation import quantity, timed
 from npred.lab.report.figures.style import LineStyle
 from npred.loop import metrics
 from npred.loop.controller import Controller
 from npred.loop.settable import Piece, targets
 from npred.plants import Plant
+from npred.plants.notation import quantity, timed
 
 OVER = "the time is over"
 END = "# end: "

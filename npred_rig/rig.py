@@ -38,7 +38,7 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
     channel = Channel(options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed)
-    path, plot = writable(output or Path(f"{options.config.name}-rig.csv")), figure and drawable(figure)
+    path, plot = writable(output or Path(f"{options.pipeline.stem}-rig.csv")), figure and drawable(figure)
     plant = plants.resolve(*options.config.of_plant)
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
         raise ConfigError(f"rig: expected a plant with one delay and in seconds, got {plant.name}; take another")

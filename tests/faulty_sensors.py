@@ -24,7 +24,7 @@ def controller(name, kind, watched=True, nx=21, **named):
     if kind in OBSERVERS:
         named["observer"] = OBSERVERS[kind](plant, outputs=outputs, offset=offset)
     return npred.controller(
-        plant, npred.predictor("heun", plant, nx=nx), named.pop("adaptation", None), DT, D_hat=D, actuator="history",
+        plant, npred.predictor(plant, "heun", nx=nx), named.pop("adaptation", None), DT, D_hat=D, actuator="history",
         u0="equilibrium", max_sample_age=0.1,
         watchdog=npred.Watchdog(after=0.5, then="hold") if watched else None, **named,
     )  # fmt: skip

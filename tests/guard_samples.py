@@ -31,7 +31,7 @@ class Wrong(Predictor):
 
     def __init__(self, plant, nx=NX, error=0.0):
         super().__init__(plant, nx)
-        self.error, self.exact = error, npred.predictor("rk4", plant, nx)
+        self.error, self.exact = error, npred.predictor(plant, "rk4", nx)
 
     def predict(self, X, u, D_hat, t):
         P, x = self.exact(X, u, D_hat, t), grid.nodes(u.shape[1])[:, None]

@@ -34,7 +34,7 @@ def test_importing_npred_brings_nothing_heavy():
 
 def test_a_loop_from_the_public_names():
     plant = npred.plant("activator_repressor")
-    predictor = npred.predictor("rk4", plant, nx=101)
+    predictor = npred.predictor(plant, "rk4", nx=101)
     P = predictor([0.03, 30.0], np.zeros((101, 1)), 1.0)
     np.testing.assert_array_equal(P[0], [0.03, 30.0])
     adaptation = npred.DelayAdaptation(gamma=1000.0, b=1.0, bounds=(0.1, 4.0))
@@ -51,12 +51,12 @@ def test_parameters_by_keyword():
 def test_unknown_predictor_is_told():
     expected = r"euler, heun, rk4, .*picard, rollout, or a class .*, got 'rk5'; did you mean rk4"
     with pytest.raises(ConfigError, match=expected):
-        npred.predictor("rk5", npred.plant("scalar"))
+        npred.predictor(npred.plant("scalar"), "rk5")
 
 
 def test_what_is_no_plant_is_told():
     with pytest.raises(ConfigError, match=r"expected a Plant, got 'scalar'; make one with npred.plant"):
-        npred.predictor("rk4", "scalar")  # type: ignore[arg-type]
+        npred.predictor("scalar", "rk4")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"expected a name, my_plant\.py:Tank or a class, got 3"):
         npred.plant(3)  # type: ignore[arg-type]
 

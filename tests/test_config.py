@@ -219,13 +219,13 @@ def test_a_run_without_an_end_is_refused_with_its_size(tmp_path: Path, empty: Pa
 SCENARIOS = """
 plant = "scalar"
 [evaluate]
-measurement = { noise = 0.01, period = 0.05 }
+measurement = { relative_noise = 0.01, period = 0.05 }
 [[evaluate.scenarios]]
 name = "noise"
-noise = 0.03
+relative_noise = 0.03
 [[evaluate.scenarios]]
 name = "errors"
-absolute = 0.1
+noise = 0.1
 bias = [-0.2]
 resolution = [0.5]
 [[evaluate.scenarios]]
@@ -242,8 +242,8 @@ def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
     path.write_text(SCENARIOS)
     evaluate = config.load(path).evaluate
     noise, errors, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
-    assert noise.measurement == Sensors(noise=0.03, period=0.05)
-    sensors = {"noise": 0.01, "period": 0.05, "absolute": 0.1, "bias": [-0.2], "resolution": [0.5]}
+    assert noise.measurement == Sensors(relative_noise=0.03, period=0.05)
+    sensors = {"relative_noise": 0.01, "period": 0.05, "noise": 0.1, "bias": [-0.2], "resolution": [0.5]}
     assert errors.measurement == Sensors(**sensors)
     assert noise == evaluate.model_copy(update={"measurement": noise.measurement})
     assert (drift.adaptation, drift.case_D_hat0, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
@@ -252,7 +252,7 @@ def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
 
 
 def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
-    some = config.load(empty, ["evaluate.actuator=history", 'evaluate.scenarios=[{name="a", noise=0.1}]'])
+    some = config.load(empty, ["evaluate.actuator=history", 'evaluate.scenarios=[{name="a", relative_noise=0.1}]'])
     dump = some.model_dump()
     assert set(dump["evaluate"]) == set(config.Evaluate.model_fields)
     assert set(dump["evaluate"]["scenarios"][0]) == set(config.Scenario.model_fields)
@@ -262,7 +262,7 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("evaluate.scenarios=[{noise=0.1}]", ["scenarios[0].name: Field required"]),
+        ("evaluate.scenarios=[{relative_noise=0.1}]", ["scenarios[0].name: Field required"]),
         ('evaluate.scenarios=[{name="a", nois=0.1}]', ["scenarios[0].nois: unknown key", "did you mean noise?"]),
         ('evaluate.scenarios=[{name="a"}, {name="a"}]', ["expected different names, got 'a' twice; rename one"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1}}]', ["scenarios[0].drift.period: Field required"]),
@@ -278,15 +278,15 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
          ["drift, jump: expected one of them, got both"]),
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
         ("generate.actuator=guessed", ["generate.actuator: Input should be 'measured' or 'history', got 'guessed'"]),
-        ("generate.measurement.noise=-0.1", ["generate.measurement: expected noise of at least 0, got -0.1; give"]),
-        ("generate.measurement.absolute=[0.1, -0.1]", ["generate.measurement: expected absolute of at least 0"]),
+        ("generate.measurement.relative_noise=-0.1", ["expected relative_noise of at least 0, got -0.1; give"]),
+        ("generate.measurement.noise=[0.1, -0.1]", ["generate.measurement: expected noise of at least 0"]),
         ("generate.measurement.bias=[nan]", ["generate.measurement: bias: expected finite numbers, got nan"]),
         ("generate.measurement.drop=1.0", ["generate.measurement: expected drop from 0 up to 1, not included, got 1"]),
         ("evaluate.timing.jitter=0.1", ['timing: expected actuator = "history", got \'measured\'']),
         ("evaluate.observer.kind=kalman", ["evaluate.observer.kind: expected ekf, luenberger, or a class of a file"]),
         ('evaluate.scenarios=[{name="a", timing={lost=0.1}}]', ["scenarios[0]: timing: expected actuator"]),
         ('evaluate.scenarios=[{name="a", actuator="history", timing={stop=0.1}}]', ["expected 0 < stop < stop_every"]),
-        ("generate.measurement.nois=0.1", ["unknown key; expected one of absolute, bias, delay, drop, jitter, noise"]),
+        ("generate.measurement.nois=0.1", ["unknown key; expected one of bias, delay, drop, jitter, noise"]),
     ],
 )  # fmt: skip
 def test_a_scenario_or_a_sensor_that_makes_no_sense_is_one_line(empty: Path, override: str, words: list[str]):

@@ -65,7 +65,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "parameter": (lambda: npred.plant("scalar", aa=1.0), "a"),
     "kappa": (lambda: npred.plant("scalar", kappa="lqrr"), "lqr"),
     "argument of a law": (lambda: plants.controlled(npred.plant("scalar"), {"law": "lqr", "q": 1.0}), "Q"),
-    "predictor": (lambda: npred.predictor("RK44", TANK), "rk4"),
+    "predictor": (lambda: npred.predictor(TANK, "RK44"), "rk4"),
     "actuator": (lambda: simulated(actuator="measure"), "measured"),
     "watchdog": (lambda: npred.Watchdog(0.1, then="hodl"), "hold"),
     "observed state": (lambda: npred.observers.EKF(TANK, outputs=("H",)), "h"),
@@ -82,11 +82,11 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 def simulated(**named: Any) -> Any:
-    return npred.simulate(TANK, npred.predictor("heun", TANK, 11), D=0.1, D_hat=0.1, X0=[1.0], t_end=0.1, **named)
+    return npred.simulate(TANK, npred.predictor(TANK, "heun", 11), D=0.1, D_hat=0.1, X0=[1.0], t_end=0.1, **named)
 
 
 def controller() -> Any:
-    return npred.controller(TANK, npred.predictor("heun", TANK, 11), None, 0.1, D_hat=0.1)
+    return npred.controller(TANK, npred.predictor(TANK, "heun", 11), None, 0.1, D_hat=0.1, actuator="measured")
 
 
 def traced(**parts: Any) -> Any:

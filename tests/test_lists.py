@@ -15,7 +15,7 @@ from npred.base.errors import ConfigError
 PLANT = npred.plant("activator_repressor")
 SCALAR = npred.plant("scalar")
 TRACKS = npred.plant("unicycle")
-RK4 = npred.predictor("rk4", PLANT, 11)
+RK4 = npred.predictor(PLANT, "rk4", 11)
 LOOP = {"D": 0.1, "D_hat": 0.1, "t_end": 0.3, "dt": 0.01}
 X0, U = np.array([0.05, 10.0]), np.linspace(0.0, 0.1, 11)[:, None]
 
@@ -45,7 +45,7 @@ def simulated(X0: Any, D: Any, D_hat: Any, bounds: Any, u0: Any, **more: Any) ->
 
 
 def controlled(X: Any, u: Any, bounds: Any) -> Any:
-    controller = npred.controller(PLANT, RK4, None, 0.01, D_hat=0.1, input_bounds=bounds)
+    controller = npred.controller(PLANT, RK4, None, 0.01, D_hat=0.1, input_bounds=bounds, actuator="measured")
     return np.append(controller.step(X, u), controller.P)
 
 
@@ -57,17 +57,17 @@ def recalled(X: Any, u0: Any, applied: Any) -> Any:
 
 def observed(Q: Any, R: Any, X0: Any, P0: Any) -> Any:
     ekf = npred.observers.EKF(MASS, Q=Q, R=R, X0=X0, P0=P0)
-    predictor = npred.predictor("rk4", MASS, 11)
+    predictor = npred.predictor(MASS, "rk4", 11)
     return npred.simulate(MASS, predictor, X0=[0.3, 0.0], observer=ekf, actuator="history", **LOOP).X
 
 
 def measured(noise: Any, absolute: Any, bias: Any, resolution: Any) -> Any:
-    sensors = npred.Measurement(noise=noise, absolute=absolute, bias=bias, resolution=resolution, seed=1)
+    sensors = npred.Measurement(relative_noise=noise, noise=absolute, bias=bias, resolution=resolution, seed=1)
     return npred.simulate(PLANT, RK4, X0=[0.05, 10.0], measurement=sensors, **LOOP).X
 
 
 def guarded(X: Any, u: Any, D_hat: Any, t: Any) -> Any:
-    guard = npred.guarded(npred.predictor("euler", PLANT, 11), 0.01)
+    guard = npred.guarded(npred.predictor(PLANT, "euler", 11), 0.01)
     judged = guard.judge(guard(X, u, D_hat, t).tolist(), X, u, D_hat, t)
     numbers = (guard.error(X, u, D_hat, t), guard.fallback(X, u, D_hat, t), *judged)
     return np.stack([np.asarray(n, dtype=float) for n in numbers])
@@ -87,7 +87,7 @@ def watched(send: Any) -> Any:
 
 def recording() -> tuple[np.ndarray, ...]:
     run = npred.simulate(
-        SCALAR, npred.predictor("rk4", SCALAR, 11), D=0.3, D_hat=0.3, X0=[1.0], t_end=10.0, dt=0.02,
+        SCALAR, npred.predictor(SCALAR, "rk4", 11), D=0.3, D_hat=0.3, X0=[1.0], t_end=10.0, dt=0.02,
         disturbance=lambda t: [0.3 * np.sin(2 * t)],
     )  # fmt: skip
     return run.t, run.U + 0.3 * np.sin(2 * run.t)[:, None], run.X
@@ -164,7 +164,7 @@ def test_the_u_of_one_input_may_be_flat():
     np.testing.assert_array_equal(guarded(X0, flat, 0.1, 0.0), guarded(X0, U, 0.1, 0.0))
     np.testing.assert_array_equal(controlled(X0, flat, LIMITS), controlled(X0, U, LIMITS))
     with pytest.raises(ConfigError, match=r"u: expected shape \(..., nx, 2\) with nx >= 2, got \(11,\)"):
-        npred.predictor("rk4", TRACKS, 11)(np.zeros(TRACKS.n), flat, 0.1)
+        npred.predictor(TRACKS, "rk4", 11)(np.zeros(TRACKS.n), flat, 0.1)
 
 
 @settings(max_examples=40, deadline=None)

@@ -1,5 +1,6 @@
 """What an installation takes: lower bounds, and the exact versions that were tested, by name and version alone."""
 
+import json
 import re
 import subprocess
 import sys
@@ -56,7 +57,45 @@ def test_make_takes_the_tested_set(target: str):
 def test_the_version_is_the_same_everywhere_and_has_a_section_in_the_changelog():
     cited = re.search(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert cited is not None and cited[1] == PROJECT["version"] == npred.__version__
+    assert json.loads((ROOT / "codemeta.json").read_text())["version"] == npred.__version__
     assert f"\n## {PROJECT['version']}\n" in (ROOT / "CHANGELOG.md").read_text()
+
+
+ADDRESS = PROJECT["urls"]["Homepage"]
+
+
+def test_the_address_of_the_repository_is_one_and_what_the_readme_links_to_is_there():
+    """A package index shows the README, where relative links lead nowhere."""
+    text = (ROOT / "README.md").read_text()
+    links = dict(re.findall(r"^\[([^\]]+)\]:\s+(\S+)$", text, re.MULTILINE))
+    assert set(re.findall(r"!?\[[^\]]+\]\[([^\]]+)\]", text)) == set(links) and len(links) > 20
+    assert all(target.startswith("https://arxiv.org/") for target in re.findall(r"\]\(([^)]+)\)", text))
+    for name in ("codemeta.json", "SECURITY.md"):
+        assert ADDRESS in (ROOT / name).read_text()
+    urls = PROJECT["urls"]
+    assert all(url.startswith(ADDRESS) for url in urls.values())
+    for link in [*links.values(), urls["Documentation"], urls["Changelog"]]:
+        parts = re.fullmatch(f"{ADDRESS}/(raw|blob)/main/([^#]+)#?(.*)", link)
+        assert parts and (ROOT / parts[2]).exists() and (parts[1] == "raw") == link.endswith(".png"), link
+        headings = re.findall(r"^#+ (.+)$", (ROOT / parts[2]).read_text(), re.MULTILINE) if parts[3] else []
+        assert parts[3] in ["", *(re.sub(r"[^\w -]", "", each).lower().replace(" ", "-") for each in headings)], link
+
+
+def test_classifiers_are_those_of_the_index():
+    known = pytest.importorskip("trove_classifiers").classifiers
+    assert [each for each in PROJECT["classifiers"] if each not in known] == []
+    tested = re.search(r"python: \[(.+)\]", (ROOT / ".github/workflows/pythons.yml").read_text())
+    pythons = [each.rpartition(" ")[2] for each in PROJECT["classifiers"] if "Python :: 3." in each]
+    assert tested is not None and pythons == re.findall(r"[\d.]+", tested[1])
+
+
+def test_the_paper_cites_what_its_bibliography_has_and_shows_what_is_there():
+    text, entries = ((ROOT / "paper" / name).read_text() for name in ("paper.md", "paper.bib"))
+    assert set(re.findall(r"@([a-z]+\d{4}[a-z]*|[a-z]+)\b", text)) == set(
+        re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE)
+    )
+    assert all((ROOT / "paper" / path).is_file() for path in re.findall(r"\]\((\.\.[^)]+)\)", text))
+    assert all((ROOT / path).is_file() for path in re.findall(r"`(docs/[^`]+)`", text))
 
 
 @pytest.mark.slow

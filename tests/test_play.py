@@ -55,9 +55,9 @@ def _simulated(scene: Any, at: dict[str, float], predicts: int, start: float) ->
     bounds, limits = scene.D_hat[1:], play.controller(scene).settings.input_bounds
     law = npred.DelayAdaptation(gamma=at["gamma"], b=play.B, bounds=bounds) if predicts and at["gamma"] else None
     loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, scene.nx), D=at["D"], D_hat=at["D_hat"] if predicts else 0.0,
+        plant, npred.predictor(plant, "rk4", scene.nx), D=at["D"], D_hat=at["D_hat"] if predicts else 0.0,
         X0=start * np.array(scene.X0), t_end=scene.t_end, dt=scene.dt, every=scene.every, adaptation=law,
-        input_bounds=limits.reshape(plant.m, 2), measurement=npred.Measurement(noise=at["noise"]),
+        input_bounds=limits.reshape(plant.m, 2), measurement=npred.Measurement(relative_noise=at["noise"]),
     )  # fmt: skip
     return np.concatenate([loop.X, loop.U, loop.D_hat[:, None]], axis=1)
 

@@ -16,7 +16,7 @@ import numpy as np
 import npred
 
 plant = npred.plant("scalar")
-rk4 = npred.predictor("rk4", plant)
+rk4 = npred.predictor(plant, "rk4")
 rk4([1.0], np.zeros((101, 1)), 1.0)
 npred.simulate(plant, rk4, D=0.2, D_hat=0.3, X0=[1.0], t_end=1.0)
 """

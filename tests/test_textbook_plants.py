@@ -143,7 +143,7 @@ def case(request) -> Case:
 
 def simulated(case: Case, X0: np.ndarray, D_hat: float, t_end: float) -> Any:
     plant = case.plant
-    rk4 = npred.predictor("rk4", plant, nx=int(case.D / case.dt) + 1)
+    rk4 = npred.predictor(plant, "rk4", nx=int(case.D / case.dt) + 1)
     parts = {"actuator": "history", "u0": plant.u_equilibrium}
     return npred.simulate(plant, rk4, X0=X0, D=case.D, D_hat=D_hat, t_end=t_end, dt=case.dt, **parts)
 
@@ -187,7 +187,7 @@ def test_its_controller_in_c_passes_its_test(case, tmp_path):
         pytest.skip("no gcc on this machine")
     plant = case.plant
     parts = {"actuator": "history", "u0": plant.u_equilibrium}
-    controller = npred.controller(plant, npred.predictor("rk4", plant, nx=51), None, case.dt, D_hat=case.D, **parts)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4", nx=51), None, case.dt, D_hat=case.D, **parts)
     npred.export(controller, "controller", tmp_path)
     command = ["gcc", "-O2", "-DNPRED_TEST", "npred.c", "-lm", "-o", "npred"]
     subprocess.run(command, cwd=tmp_path, check=True)

@@ -70,7 +70,7 @@ def run(plant, factor, law=None, nx=11, steps=100, **loop):
     low, high = np.array([plant.box.get(name, (-0.1, 0.1)) for name in plant.states]).T
     X0, dt = low + 0.6 * (high - low), factor * D / 25
     return npred.simulate(
-        plant, npred.predictor("rk4", plant, nx), X0=X0, dt=dt, t_end=steps * dt, adaptation=law, **times, **loop
+        plant, npred.predictor(plant, "rk4", nx), X0=X0, dt=dt, t_end=steps * dt, adaptation=law, **times, **loop
     )
 
 
@@ -109,7 +109,7 @@ def test_an_observer_of_the_state_and_a_watchdog(unit):
         return run(
             each, k, npred.DelayObserver(), steps=150, actuator="history", timing=npred.Timing(jitter=0.2),
             observer=npred.observers.EKF(each, outputs=["h2"], offset=True), watchdog=npred.Watchdog(0.062 * k, "zero"),
-            measurement=npred.Measurement(absolute=1e-3, period=0.042 * k, drop=0.3),
+            measurement=npred.Measurement(noise=1e-3, period=0.042 * k, drop=0.3),
         )  # fmt: skip
 
     one, two = clocked(plant, 1.0), clocked(other, factor)
@@ -144,7 +144,7 @@ def test_a_recording_has_the_same_delay_in_the_unit(unit):
     other, factor = rewritten(plant, unit)
     t, rng = np.arange(400) * 0.05, np.random.default_rng(0)
     U = np.repeat(rng.uniform(-1, 1, (40, 1)), 10, axis=0)
-    X = npred.predictor("rk4", plant, 400)(np.array([0.2]), np.vstack([np.zeros((10, 1)), U])[:400], t[-1])
+    X = npred.predictor(plant, "rk4", 400)(np.array([0.2]), np.vstack([np.zeros((10, 1)), U])[:400], t[-1])
     X = X + 1e-3 * rng.standard_normal(X.shape)
     one, two = (npred.identify(each, k * t, U, X) for each, k in ((plant, 1.0), (other, factor)))
     np.testing.assert_allclose(two.D / factor, one.D, rtol=1e-6)
@@ -158,7 +158,7 @@ def test_the_observer_finds_the_delay_of_two_tanks_in_any_unit():
         f = staticmethod(lambda x, u, t, p, M, k=factor: [rate / k for rate in Series.f(x, u, t, p, M)])
         plant = npred.plant(type("Tanks", (Series,), {"f": f}))
         loop = npred.simulate(
-            plant, npred.predictor("rk4", plant, 21), D=0.5 * factor, D_hat=factor, X0=[0.3, 0.5], t_end=10 * factor,
+            plant, npred.predictor(plant, "rk4", 21), D=0.5 * factor, D_hat=factor, X0=[0.3, 0.5], t_end=10 * factor,
             dt=0.01 * factor, adaptation=npred.DelayObserver(), actuator="history",
         )  # fmt: skip
         ends.append(loop.D_hat[-1] / factor * 60)
@@ -169,7 +169,7 @@ def test_a_control_step_follows_the_delay_and_the_rates():
     assert [control_step.usual(D) for D in (1.0, 1.5, 2.0, 0.3, 30.0)] == [0.005, 0.005, 0.005, 0.001, 0.1]
     assert control_step.usual([0.0, 3.0, 0.3], 1.0) == 0.001 and control_step.usual(1.0, 23.0) == 0.002
     scalar, loop = npred.plant("scalar"), {"X0": [1.0], "t_end": 1.0}
-    rk4 = npred.predictor("rk4", scalar, 5)
+    rk4 = npred.predictor(scalar, "rk4", 5)
     steps = [npred.simulate(scalar, rk4, D=D, D_hat=D_hat, **loop).t[1] for D, D_hat in ((1, 1), (0, 0.3), (0, 0))]
     assert steps == pytest.approx([0.005, 0.001, 0.05])
     assert npred.simulate(scalar, rk4, D=lambda t: 0.3 + t, D_hat=0.3, **loop).t[1] == 0.001
@@ -178,7 +178,7 @@ def test_a_control_step_follows_the_delay_and_the_rates():
 def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, monkeypatch):
     monkeypatch.delenv("NPRED_QUIET")
     scalar = npred.plant("scalar")
-    rk4 = npred.predictor("rk4", scalar, 5)
+    rk4 = npred.predictor(scalar, "rk4", 5)
 
     def said(**loop):
         npred.simulate(scalar, rk4, X0=[1.0], **loop)
@@ -202,7 +202,7 @@ def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, m
 def test_a_controller_says_it_of_the_longest_delay_that_its_law_takes(capsys, monkeypatch):
     monkeypatch.delenv("NPRED_QUIET")
     scalar, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.01, 0.13))
-    rk4 = npred.predictor("rk4", scalar, 5)
+    rk4 = npred.predictor(scalar, "rk4", 5)
     npred.controller(scalar, rk4, law, 0.005, actuator="history")
     assert "D / " not in capsys.readouterr().err
     npred.controller(scalar, rk4, law, 0.01, actuator="history")

@@ -82,15 +82,15 @@ def ends(predictor):
 
 def test_a_loop_a_controller_and_a_figure(script):
     program = (
-        f"{LOOP}rk4 = npred.predictor('rk4', plant)\nprint(ends(rk4))\n"
-        "c = npred.controller(plant, rk4, law, 0.01, D_hat=2.0)\nprint(c.step([0.03, 30.0], np.zeros((101, 1))))\n"
+        f"{LOOP}rk4 = npred.predictor(plant, 'rk4')\nprint(ends(rk4))\n"
+        "c = npred.controller(plant, rk4, law, 0.01, D_hat=2.0)\nprint(c.step([0.03, 30.0]))\n"
         "loop = npred.simulate(plant, rk4, D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=1.0, dt=0.01, adaptation=None)\n"
         "loop.plot(D=1.0)[0].figure.savefig('loop.png')\n"
     )
     ended, U = script(program)
     space: dict = {"npred": npred}
     exec(LOOP, space)
-    assert ended == str(space["ends"](npred.predictor("rk4", space["plant"]))) and U.startswith("[")
+    assert ended == str(space["ends"](npred.predictor(space["plant"], "rk4"))) and U.startswith("[")
 
 
 @pytest.mark.parametrize("runtime", [None, "fused"])

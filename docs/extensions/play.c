@@ -25,7 +25,8 @@ const double *play(double D, double D_hat, double gamma, double noise, int predi
 {
     const double zeros[N] = {0.0};
     double X[N] = START, Y[N], U[M] = {0.0}, U0[M], U1[M], share[M], late[M], noises[N];
-    Settings sensors = {.noise = noises, .absolute = (double *)zeros, .bias = (double *)zeros, .resolution = (double *)zeros};
+    Settings sensors = {.relative_noise = noises, .noise = (double *)zeros, .bias = (double *)zeros,
+                        .resolution = (double *)zeros};
     Shape d = the_shape;
     d.rows = ROWS;
     fill(N, noise, noises);

@@ -80,7 +80,9 @@ def controller(scene: Scene) -> Controller:
     """The controller of a scene, with u measured, as the paper has it."""
     plant = npred.plant(scene.plant)
     law = npred.DelayAdaptation(gamma=scene.gamma[0], b=B, bounds=scene.D_hat[1:])
-    return npred.controller(plant, npred.predictor("rk4", plant, scene.nx), law, scene.dt, D_hat=scene.D_hat[0])
+    return npred.controller(
+        plant, npred.predictor(plant, "rk4", scene.nx), law, scene.dt, D_hat=scene.D_hat[0], actuator="measured"
+    )
 
 
 def source(scene: Scene) -> str:

@@ -21,15 +21,17 @@ class Motor:
     input_bounds = ((-12.0, 12.0),)
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.speed, (p.gain * u.voltage - x.speed) / p.lag]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-1.0 * x.angle - 0.03 * x.speed]
 
 
 motor = npred.plant(Motor)
-heun = npred.predictor("heun", motor)
+heun = npred.predictor(motor, "heun")
 network = {
     "D": 0.06,
     "actuator": "history",

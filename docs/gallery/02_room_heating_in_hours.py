@@ -22,6 +22,7 @@ class Room:
     input_bounds = ((0.0, 12.0),)
     guess = (21.0, 15.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         to_walls = 1.5 * (x.air - x.walls)
         out = 0.05 * (x.air - p.outside)
@@ -30,6 +31,7 @@ class Room:
             0.3 * to_walls - 0.1 * (x.walls - p.outside),
         ]
 
+    @staticmethod
     def kappa(x, t, p, M):
         # what holds the air where it is, and a share of what is missing
         losses = 1.5 * (x.air - x.walls) + 0.05 * (x.air - p.outside)
@@ -37,7 +39,7 @@ class Room:
 
 
 room = npred.plant(Room)
-rk4 = npred.predictor("rk4", room)
+rk4 = npred.predictor(room, "rk4")
 evening = {
     "D": 0.75,
     "X0": [15.0, 12.0],

@@ -19,6 +19,7 @@ class Altitude:
     input_bounds = ((0.0, 24.0),)
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(x, u, t, p, M):
         drag = p.drag * x.climb * M.abs(x.climb)
         return [x.climb, (u.thrust - drag) / p.mass - 9.81]
@@ -27,7 +28,7 @@ class Altitude:
 # The weights of height and climb, and of the thrust.
 costs = {"law": "lqr", "Q": [100.0, 1.0], "R": [0.1]}
 drone = npred.plant(Altitude, kappa=costs)
-rk4 = npred.predictor("rk4", drone)
+rk4 = npred.predictor(drone, "rk4")
 low, high = npred.delay_margin(drone, D=0.25)
 print(f"the loop bears an error of D_hat from {low:+.3f} to {high:+.3f} s")
 

@@ -20,15 +20,17 @@ class Robot:
     guess = (0.0, 0.0, 1.0)
     delays = (0.2, 0.6)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.speed * M.sin(x.heading), u.turn, u.push]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-2.0 * x.offset - 3.0 * x.heading, -3.0 * (x.speed - 1.0)]
 
 
 robot = npred.plant(Robot)
-rk4 = npred.predictor("rk4", robot)
+rk4 = npred.predictor(robot, "rk4")
 starts = [[0.5, 0.3, 0.6], [-0.4, 0.2, 1.4], [0.2, -0.4, 1.0]]
 loops = npred.simulate(
     robot, rk4, D=0.6, D_hat=0.6, X0=starts, t_end=6.0, dt=0.01

@@ -16,19 +16,22 @@ class Tank:
     states, inputs, guess = ("level",), ("inflow",), (1.0,)
     box = {"level": (0.2, 2.0)}
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [u.inflow - x.level]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [1.0 - 3.0 * (x.level - 1.0)]
 
+    @staticmethod
     def delay(x, t, p, M):
         return 0.4 + 0.2 * x.level
 
 
 tank = npred.plant(Tank)
 loops = npred.simulate(
-    tank, npred.predictor("rk4", tank), X0=[[0.2], [0.6], [2.0]], t_end=8.0
+    tank, npred.predictor(tank, "rk4"), X0=[[0.2], [0.6], [2.0]], t_end=8.0
 )
 axes = loops.plot()
 print("commands that overtake others:", int((loops.infeasible >= 0).sum()))

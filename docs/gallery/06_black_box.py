@@ -27,17 +27,19 @@ class Pendulum:
     box = {"theta": (-0.5, 0.5), "omega": (-0.5, 0.5)}
     guess = (0.0, 0.0)
 
+    @staticmethod
     def f(X, u, t, p):  # X (B, n), u (B, m) -> (B, n)
         fall = 10.0 * np.sin(X[:, 0])
         return np.stack([X[:, 1], fall + u[:, 0]], axis=1)
 
+    @staticmethod
     def kappa(X, t, p):  # -> (B, m)
         return (-10.0 * np.sin(X[:, 0]) - 4.0 * X.sum(axis=1))[:, None]
 '''
 )
 
 plant = npred.plant(f"{folder}/simulator.py:Pendulum")
-rk4 = npred.predictor("rk4", plant, nx=21)
+rk4 = npred.predictor(plant, "rk4", nx=21)
 loop = npred.simulate(
     plant, rk4, D=0.3, D_hat=0.3, X0=[0.3, 0.0], t_end=4.0, dt=0.01
 )

@@ -70,7 +70,7 @@ trained = npred.train(
 
 plant = npred.plant("scalar")
 loop = {"D": 1.0, "D_hat": 1.0, "X0": [0.5], "t_end": 12.0, "dt": 0.01}
-exact = npred.simulate(plant, npred.predictor("rk4", plant), **loop)
+exact = npred.simulate(plant, npred.predictor(plant, "rk4"), **loop)
 network = npred.simulate(plant, trained.network, **loop)
 axes = exact.plot(label="RK4")
 network.plot(ax=axes, label="network")

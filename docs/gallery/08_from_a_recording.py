@@ -22,9 +22,11 @@ class Heater:
     input_bounds = ((0.0, 40.0),)
     guess = (20.0,)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [(p.gain * u.power - x.T) / p.lag]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [(20.0 - 3.0 * (x.T - 20.0)) / p.gain]
 
@@ -57,7 +59,7 @@ assert result.identifiable[0] and abs(result.D[0] - 7.3) < 0.2
 known = npred.plant(Heater, **result.parameters)
 loop = npred.simulate(
     known,
-    npred.predictor("rk4", known),
+    npred.predictor(known, "rk4"),
     D=7.3,
     D_hat=result.D[0],
     X0=[2.0],

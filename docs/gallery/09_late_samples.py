@@ -12,7 +12,7 @@ import numpy as np
 import npred
 
 plant = npred.plant("van_der_pol")
-rk4 = npred.predictor("rk4", plant, nx=51)
+rk4 = npred.predictor(plant, "rk4", nx=51)
 setting = {
     "D": 0.5,
     "D_hat": 0.3,

@@ -17,18 +17,21 @@ class Cart:
     units = {"x": "m", "v": "m/s", "u": "N"}
     box, input_bounds = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}, ((-5.0, 5.0),)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.v, u.u]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-4 * (x.x - 0.95) - 1.2 * x.v]
 
+    @staticmethod
     def safe(x, t, p, M):
         return [1.0 - x.x, 1.0 + x.x]  # each is 0 or more on the track
 
 
 cart = npred.plant(Cart)
-rk4 = npred.predictor("rk4", cart, nx=31)
+rk4 = npred.predictor(cart, "rk4", nx=31)
 loop = {
     "D": 0.3,
     "D_hat": 0.3,

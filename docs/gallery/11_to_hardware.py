@@ -13,7 +13,7 @@ from pathlib import Path
 import npred
 
 plant = npred.plant("van_der_pol")
-heun = npred.predictor("heun", plant, nx=31)
+heun = npred.predictor(plant, "heun", nx=31)
 law = npred.DelayObserver(bounds=(0.1, 1.0))
 loop = {"D": 0.3, "X0": [1.0, 0.0], "t_end": 8.0, "dt": 0.01}
 run = npred.simulate(

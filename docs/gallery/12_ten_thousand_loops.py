@@ -21,15 +21,17 @@ class Pendulum:
     box, guess = {"theta": (-1.0, 1.0), "omega": (-1.0, 1.0)}, (0.0, 0.0)
     input_bounds = ((-10.0, 10.0),)
 
+    @staticmethod
     def f(x, u, t, p, M):
         return [x.omega, 10.0 * M.sin(x.theta) + u.u]
 
+    @staticmethod
     def kappa(x, t, p, M):
         return [-10.0 * M.sin(x.theta) - 4.0 * x.theta - 4.0 * x.omega]
 
 
 pendulum = npred.plant(Pendulum)
-rk4 = npred.predictor("rk4", pendulum, nx=21)
+rk4 = npred.predictor(pendulum, "rk4", nx=21)
 rng = np.random.default_rng(0)
 loops, D = 10_000, 0.3
 D_hat = rng.uniform(0.1, 0.5, loops)

@@ -2,7 +2,7 @@
 
 A line says what is done, about how long it takes and how often it is to be expected. In a script it goes to stderr;
 an application takes the lines by `listener`. NPRED_QUIET=1 in the environment, or `quiet()` around a call, keeps it
-silent.
+silent; of the application NPRED_QUIET silences bars and the live view too.
 """
 
 import os

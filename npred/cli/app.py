@@ -4,9 +4,10 @@ The module of a command is imported when the command is called, or its help is a
 """
 
 import inspect
+import sys
 import traceback
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import fields
 from difflib import get_close_matches
 from functools import partial
@@ -95,7 +96,7 @@ class LazyCommand(TyperCommand):
                 function = function(*names) if names else function
             alone.command()(with_flags(function, self.waits))
 
-        if code := guarded(load, Console()):
+        if code := guarded(load, Console(), json="--json" in sys.argv):
             raise typer.Exit(code)
         command = typer.main.get_command(alone)
         self.params, self.callback = command.params, command.callback
@@ -127,7 +128,7 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
         sources = {p: context.get_parameter_source(str(p.name)) for p in context.command.params}
         written = [p for p, source in sources.items() if source and source.name == "COMMANDLINE"]
         flags = {str(p.name): p.opts[-1] for p in written if p.opts[-1].startswith("--")}
-        if code := guarded(lambda: function(common, **values), common.console, waits, flags):
+        if code := guarded(lambda: function(common, **values), common.console, waits, flags, common.json):
             raise typer.Exit(code)
 
     kind = inspect.Parameter.KEYWORD_ONLY
@@ -138,12 +139,22 @@ def with_flags(function: Callable[..., None], waits: str = "") -> Callable[..., 
     return call
 
 
-def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: Mapping[str, str] = {}) -> int:
+def guarded(
+    call: Callable[[], None], console: Console, waits: str = "", flags: Mapping[str, str] = {}, json: bool = False
+) -> int:
     """The exit code of a call: 0, the failure's own, that of a signal, 1 for the unforeseen. Ends the console's log.
 
     A message that begins with an argument's name, as `precision: expected …`, names the one of `flags` instead: those
-    that the user wrote, by the names that they have as arguments in Python.
+    that the user wrote, by the names that they have as arguments in Python. With `json` a failure
+    without an answer is a document on stdout too.
     """
+
+    def failed(kind: str, message: str, exit_code: int) -> int:
+        if json and not console.answered:
+            with suppress(NpredError, BrokenPipeError):
+                console.json(failure(kind, message, exit_code))
+        return exit_code
+
     try:
         with listener(console.wait), announce(waits) if waits else nullcontext():
             call()
@@ -155,20 +166,27 @@ def guarded(call: Callable[[], None], console: Console, waits: str = "", flags: 
         # libraries turn a signal into other errors
         if interruption.interrupted() or isinstance(error, KeyboardInterrupt):
             interruption.say(console.error)
-            return interruption.code()
+            return failed("Interrupted", "interrupted; what is finished is kept", interruption.code())
         if isinstance(error, ModuleNotFoundError):  # the package of an extra, where nothing has said so before
             error = missing("npred", error) or error
         if isinstance(error, NpredError):
             name, colon, rest = str(error).partition(":")
-            console.error(f"{flags.get(name, name)}{colon}{rest}")
-            return error.exit_code
+            message = f"{flags.get(name, name)}{colon}{rest}"
+            console.error(message)
+            return failed(type(error).__name__, message, error.exit_code)
         console.detail("".join(traceback.format_exception(error)).rstrip())
         todo = f"the traceback is in {console.log.path}" if console.log else "run with -v for the traceback"
+        message = f"{first_line(error, 'no message')}; {todo}"
         if not console.verbose:
-            console.error(f"{type(error).__name__}: {first_line(error, 'no message')}; {todo}")
-        return 1
+            console.error(f"{type(error).__name__}: {message}")
+        return failed(type(error).__name__, message, 1)
     finally:
         console.close()
+
+
+def failure(kind: str, message: str, exit_code: int) -> dict[str, object]:
+    """The document of a failure."""
+    return {"error": {"kind": kind, "message": message, "exit_code": exit_code}}
 
 
 def _version(asked: bool) -> None:

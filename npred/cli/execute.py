@@ -8,7 +8,7 @@ from typing import Annotated
 from npred.base import devices
 from npred.base.errors import ConfigError, room_on_disk, unlisted
 from npred.base.registry import declared_stage
-from npred.cli.options import Work, flag, writable_folder
+from npred.cli.options import Staged, Trains, Work, flag, writable_folder
 from npred.cli.report import free_path, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
 from npred.lab.report.figures.style import MEDIA
@@ -20,7 +20,7 @@ from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.store import short
 
 
-def run(options: Work) -> None:
+def run(options: Trains) -> None:
     """Every stage; the answer is that of evaluate and of bench together, and for people how it all ends."""
     _work(options, None)
 
@@ -29,7 +29,7 @@ def stage_command(stage: str) -> Callable[..., None]:
     """The command that runs one stage with the stages before it; of a stage per network, of one or of all."""
 
     def of_networks(
-        options: Work,
+        options: Trains,
         *,
         model: Annotated[str | None, flag("A network, as deeponet; those of the pipeline by default.")] = None,
     ) -> None:
@@ -40,11 +40,15 @@ def stage_command(stage: str) -> Callable[..., None]:
     def of_all(options: Work) -> None:
         _work(options, stage)
 
-    return of_networks if declared_stage(stage).per_network else of_all
+    def after_training(options: Trains) -> None:
+        _work(options, stage)
+
+    declared = declared_stage(stage)
+    return of_networks if declared.per_network else after_training if "train" in declared.upstream else of_all
 
 
 def bench(
-    options: Work,
+    options: Trains,
     *,
     no_networks: Annotated[
         bool,
@@ -74,7 +78,7 @@ def bench(
 
 
 def report(
-    options: Work,
+    options: Trains,
     *,
     output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
     figures: Annotated[
@@ -103,14 +107,14 @@ def report(
     options.show(document, lambda: "\n".join(map(str, files)))
 
 
-def bring(options: Work, targets: list[str], model: str | None = None, borrows: bool = False) -> list[Outcome]:
+def bring(options: Staged, targets: list[str], model: str | None = None, borrows: bool = False) -> list[Outcome]:
     """The targets and all that they need, from the store or run; `borrows` as for Planner."""
     needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with ExitStack() as stack:
-        if options.tensorboard:
-            console.events = stack.enter_context(closing(Events(options.tensorboard)))
+        if folder := getattr(options, "tensorboard", None):
+            console.events = stack.enter_context(closing(Events(folder)))
         stack.enter_context(console.watch(options.config.name, [node.title for node in needed]))
-        executor = stack.enter_context(executors.opened(options.executor, jobs))
+        executor = stack.enter_context(executors.opened(getattr(options, "executor", executors.LOCAL), jobs))
         planner = _planner(options, targets, borrows)  # on the screen already: to look for a GPU imports torch
         console.head(f"{options.config.name} on {planner.device}")
         remember(options.results, options.pipeline)  # also where the run is interrupted
@@ -159,7 +163,7 @@ def _work(options: Work, stage: str | None, model: str | None = None, output: Pa
     options.console.out("\n".join([*lines, *([f"report: {page}"] if page else [])]))
 
 
-def _planner(options: Work, targets: list[str], borrows: bool = False) -> Planner:
+def _planner(options: Staged, targets: list[str], borrows: bool = False) -> Planner:
     """A stage that is asked for is timed here; a report, which only draws times, takes those that there are."""
     planner = options.planner(frozenset(targets) if options.force else frozenset(), borrows or "bench" not in targets)
     devices.require(planner.device)

@@ -78,6 +78,9 @@ def format_command(form: str) -> Callable[..., None]:
 
 def _network(options: Exporting, key: str) -> NetworkAlone:
     """A trained model, and held-out samples of its data on as many nodes; a time that is not known is 0."""
+    if key.endswith(".toml") or key in defaults.shipped():
+        todo = f"write {key}:deeponet; without a network, npred export controller {key} --predictor heun"
+        raise ConfigError(f"{key}: expected PIPELINE:MODEL, a trained network, got no model; {todo}")
     nx, stored = options.nx or NX, load_model(key, options.store, options.set)
     operator = weights.read(stored.folder, stored.plant, stored.snapshot, np.float32, stored.config)
     rows = held_out(stored, options.results)

@@ -11,7 +11,7 @@ import numpy as np
 
 from npred.base.errors import ConfigError, UnmetError
 from npred.cli.execute import bring
-from npred.cli.options import Work, argument, flag, rewritable
+from npred.cli.options import Staged, argument, flag, rewritable
 from npred.identification.recordings import USUAL
 from npred.lab import config
 from npred.lab.config import Pipeline
@@ -22,7 +22,7 @@ from npred.lab.stages.report import toml_text
 
 
 @dataclass(frozen=True)
-class Recorded(Work):
+class Recorded(Staged):
     """Flags of the command that reads a recording; each has its place in the table [identify]."""
 
     pipeline_name: Annotated[  # type: ignore[assignment]  here there may be several
@@ -65,6 +65,12 @@ class Recorded(Work):
             raise ConfigError(f"identify: expected recordings, or one pipeline, got {got}; name them by data in that")
         return logs
 
+    @property
+    def stem(self) -> str:
+        """What the files that are written are named after: the first recording, or the pipeline, which stays."""
+        name = re.sub(r"[^\w.-]+", "_", self.pipeline.stem).strip("._-") or "log"
+        return f"{name}-identified" if self.pipeline.suffix == ".toml" else name
+
     @cached_property
     def config(self) -> Pipeline:
         """The pipeline of a recording: a plant, and the table [identify]."""
@@ -72,7 +78,7 @@ class Recorded(Work):
         if self.pipeline.suffix == ".toml":
             table = config.table(self.pipeline)
         elif self.plant:
-            table = {"name": re.sub(r"[^\w.-]+", "_", self.pipeline.stem).strip("._-") or "log"}
+            table = {"name": self.stem}
             names = [str(log) for log in self.logs]
             table |= {"identify": {"data": names[0] if len(names) == 1 else names}}
         else:
@@ -129,7 +135,7 @@ def identify(
     """
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
-    path = output or Path(f"{options.config.name}.toml")
+    path = output or Path(f"{options.stem}.toml")
     page = path.with_suffix(".html")
     try:
         shutil.copyfile(artifact.folder / PAGE, page)

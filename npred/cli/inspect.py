@@ -159,7 +159,7 @@ def check(
             "The largest delay to predict over, in the plant's unit of time; by default the pipeline's or the plant's."
         ),
     ] = None,
-    nodes: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
+    nx: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
     kappa: Annotated[
         str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
     ] = "",
@@ -179,7 +179,7 @@ def check(
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     name, parameters, law, delays = pipeline.of_plant if pipeline else (plant, {}, "", None)
     asked, plot = plants.resolve(name, parameters, kappa or law, delays), figure and drawable(figure)
-    settings = {"delay": delay, "nodes": nodes, "u0": u0 and config.value(u0)}
+    settings = {"delay": delay, "nx": nx, "u0": u0 and config.value(u0)}
     answers = pipeline_fit.check(asked, pipeline, **settings) if pipeline else diagnosis.check(asked, **settings)
     fine = diagnosis.settled(answers)
     rows = [[*answer[:3]] for answer in answers]

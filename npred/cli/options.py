@@ -73,13 +73,11 @@ OVERRIDES = flag("Override a key, as in train.fno.epochs=5; repeatable.", "--set
 
 
 @dataclass(frozen=True)
-class Planned(Common):
+class Piped(Common):
     """Flags of the commands that read a pipeline file."""
 
     pipeline_name: Annotated[str | None, PIPELINE] = None
     set: Annotated[list[str] | None, OVERRIDES] = None
-    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.")] = "auto"
-    jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
 
     @cached_property
     def pipeline(self) -> Path:
@@ -96,6 +94,13 @@ class Planned(Common):
 
         return config.load(self.pipeline, self.set)
 
+
+@dataclass(frozen=True)
+class Planned(Piped):
+    """Flags of the commands that compare a pipeline with the store."""
+
+    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.")] = "auto"
+
     def planner(self, forced: frozenset[str] = frozenset(), borrows: bool = False) -> "Planner":
         """The pipeline against the store; `borrows` as for Planner."""
         from npred.base import devices
@@ -105,8 +110,22 @@ class Planned(Common):
 
 
 @dataclass(frozen=True)
-class Running(Planned):
-    """Flags of the commands that run something."""
+class Working(Planned):
+    """Flags of the commands that work for some time."""
+
+    jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
+
+
+@dataclass(frozen=True)
+class Staged(Working):
+    """Flags of a command that brings the results of stages."""
+
+    force: Annotated[bool, flag("Run the named stages even if the store has them.", "--force")] = False
+
+
+@dataclass(frozen=True)
+class Running(Working):
+    """Flags of the commands that can run elsewhere, or only say what would run."""
 
     dry_run: Annotated[bool, flag("Say what would run, and run nothing.", "--dry-run")] = False
     executor: Annotated[
@@ -115,11 +134,16 @@ class Running(Planned):
 
 
 @dataclass(frozen=True)
-class Work(Running):
+class Work(Running, Staged):
     """Flags of the commands that run stages."""
 
-    force: Annotated[bool, flag("Run the named stages even if the store has them.", "--force")] = False
     wide: Annotated[bool, flag("Print all that was measured, in tables of any width.", "--wide")] = False
+
+
+@dataclass(frozen=True)
+class Trains(Work):
+    """Flags of the commands that may train."""
+
     tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from npred.base import json_files
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, Work
+from npred.cli.options import Piped, Work
 from npred.lab.scheduler.runner import Outcome
 
 if TYPE_CHECKING:
@@ -75,12 +75,12 @@ def write_figures(results: "PipelineResults", folder: Path, style: "Style") -> l
     return files
 
 
-def source_of(options: Planned) -> str:
+def source_of(options: Piped) -> str:
     """The pipeline file, from the folder that the store is in: a folder that is moved or copied whole stays itself."""
     return Path(os.path.relpath(options.pipeline.absolute(), options.store.absolute().parent)).as_posix()
 
 
-def free_path(options: Planned, name: str, of: Callable[[str], Path]) -> Path:
+def free_path(options: Piped, name: str, of: Callable[[str], Path]) -> Path:
     """`of(name)`, a page or a folder; where that is another pipeline's, that of NAME-FOLDER after the
     file's folder, else with a digest. A line says which is whose.
     """
@@ -94,7 +94,7 @@ def free_path(options: Planned, name: str, of: Callable[[str], Path]) -> Path:
     return path
 
 
-def sign(options: Planned, folder: Path) -> None:
+def sign(options: Piped, folder: Path) -> None:
     """Say in a folder of results of which pipeline file they are."""
     (folder / SIGNATURE).write_text(source_of(options) + "\n", encoding="utf-8", errors="surrogateescape")
 

@@ -91,7 +91,7 @@ def sweep(
     rows = [row for cell, run in done if not run.failure for row in rows_of(cell, run)]
     fronts = front([row.numbers for row in rows])
     table: Table = [{"row": k, **row.cells(), "front": fronts[k - 1]} for k, row in enumerate(rows, 1)]
-    files = _write(options, sweep_cells[0].config.name, output, rows, table) if rows else []
+    files = _write(options, options.pipeline.stem, output, rows, table) if rows else []
     if csv:
         options.console.out(_csv(table).rstrip("\n"))
     else:

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.cli.options import Planned, flag, rewritable, writable
+from npred.cli.options import Working, flag, rewritable, writable
 from npred.lab import config
 from npred.lab.config import Pipeline
-from npred.lab.config.results import Tuned
+from npred.lab.config.results import BeforeAfter, Tuned
 from npred.lab.config.section import map_paths
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import columns
@@ -20,7 +20,7 @@ from npred.plants import Plant
 
 
 def tune(
-    options: Planned,
+    options: Working,
     *,
     free: Annotated[
         list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")
@@ -62,16 +62,25 @@ def tune(
 
 
 def _table(result: Tuned, width: int | None) -> str:
-    """Each number, and the loops' results, before and after."""
-    rows = [[each.name, f"{each.before:.4g}", f"{each.after:.4g}"] for each in result.numbers]
-    for where, judged in (("training", result.training), ("held-out", result.held_out)):
-        times = ["–" if time is None else f"{time:.4g}" for time in judged.settle_time]
-        rows += [
-            [f"cost, {where}", *(f"{cost:.4g}" for cost in judged.cost)],
-            [f"settling time, {where}", *times],
-            [f"of {judged.loops} loops do not settle", *map(str, judged.unsettled)],
-        ]
-    return f"{result.sentence}\n\n{columns(['', 'before', 'after'], rows, width, {'before', 'after'})}"
+    """Each number, and what the held-out loops do, before and after, with the change over the starts."""
+    rows = [[each.name, f"{each.before:.4g}", f"{each.after:.4g}", "", ""] for each in result.numbers]
+    judged = result.held_out
+    figures = {
+        "settling time": judged.settle_time, "peak of |X - X*|": judged.peak, "effort, ∫ |U - U*|² dt": judged.effort,
+        "cost": judged.cost, "cost, training": result.training.cost,
+    }  # fmt: skip
+    rows += [[name, *_cells(figure)] for name, figure in figures.items()]
+    rows.append([f"of {judged.loops} loops do not settle", *map(str, judged.unsettled), "", ""])
+    header = ["", "before", "after", "change", "95 % of it"]
+    return f"{result.sentence}\n\n{columns(header, rows, width, {*header[1:]})}"
+
+
+def _cells(figure: BeforeAfter) -> list[str]:
+    values = ["–" if value is None else f"{value:.4g}" for value in (figure.before, figure.after)]
+    if figure.gain is None or figure.interval is None:
+        return [*values, "", ""]
+    low, high = figure.interval
+    return [*values, f"{-figure.gain:+.1%}", f"{-high:+.1%} to {-low:+.1%}"]
 
 
 def _pipeline(tables: dict[str, Any], pipeline: Pipeline, plant: Plant, result: Tuned) -> str:

@@ -49,15 +49,15 @@ QUESTIONS = (
 
 
 def check(
-    plant: Plant, delay: float | None = None, nodes: int | None = None, samples: int = SAMPLES, u0: Any = None
+    plant: Plant, delay: float | None = None, nx: int | None = None, samples: int = SAMPLES, u0: Any = None
 ) -> list[Answer]:
-    """Every question about a plant with its answer, for delays up to `delay` on `nodes` nodes.
+    """Every question about a plant with its answer, for delays up to `delay` on `nx` nodes.
 
     By default the delay is the longest of the plant's, else `assumed`, and nodes are 101. Raises ConfigError for a u0
     that does not fit, and as `answers` does.
     """
     D, source = longest(plant) if delay is None else (delay, "as asked")
-    case = Case(plant, D, NODES if nodes is None else nodes, samples, source, u0)
+    case = Case(plant, D, NODES if nx is None else nx, samples, source, u0)
     inputs.start(plant, u0, case.limits)
     return answers(case)
 
@@ -71,7 +71,7 @@ def answers(case: Case) -> list[Answer]:
     if not 0 < case.delay < np.inf:
         raise ConfigError(f"delay: expected a time above 0, got {plant.time_text(case.delay)}; give another")
     if case.nodes < 2:
-        raise ConfigError(f"nodes: expected at least 2, both ends of [0, 1], got {case.nodes}; 101 are usual")
+        raise ConfigError(f"nx: expected at least 2, both ends of [0, 1], got {case.nodes}; 101 are usual")
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
         advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'

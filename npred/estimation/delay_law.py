@@ -4,17 +4,20 @@ import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError
+from npred.base.registry import DELAY_LAWS, FROZEN
 from npred.plants.base import Plant
 from npred.plants.speed import rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.delays.problem import Kernel
 from npred.prediction.methods import RK4
+
+Adaptation = Literal["bresch-pietri-krstic", "l1", "delay-observer", "frozen"]  # those of the registry, and none
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,13 @@ class DelayLaw(ABC):
     def ends(self, dt: float) -> tuple[float, float]:
         """The estimates from which on outwards D_hat is at its bound."""
         return self.bounds
+
+
+def by_name(name: Adaptation | str) -> DelayLaw | None:
+    """The law of a name, or of a file, with its defaults; None for "frozen". Raises ConfigError for any other."""
+    if fault := DELAY_LAWS.fault(name, FROZEN):
+        raise ConfigError(f"adaptation: {fault}")
+    return None if name == FROZEN else DELAY_LAWS.subclass("adaptation", name, DelayLaw)()
 
 
 def delay(plant: Plant, D: Any, D_hat: Any = 0.0) -> float:

@@ -4,10 +4,10 @@ A new format is a file in npred/exports with a function (of, path, *, its option
 FORMATS. From there come the command `npred export FORMAT` with its flags, and the keywords that `export` takes.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, Unpack
 
 from npred.base.errors import ConfigError, similar, unlisted
 from npred.base.registry import attribute
@@ -19,6 +19,19 @@ if TYPE_CHECKING:
     from npred.loop.controller import Controller
     from npred.networks.weights import TrainedOperator
     from npred.plants import Plant
+
+
+Form = Literal["controller", "fmu", "c", "onnx"]
+
+
+class FormatOptions(TypedDict, total=False):
+    """The options of all formats; each takes those of FORMATS."""
+
+    precision: Literal["double", "float"]
+    name: str
+    fmi: Literal[3, 2]
+    platforms: str | Sequence[str]
+    atol: float
 
 
 class Option(NamedTuple):
@@ -164,7 +177,7 @@ def writer(form: str, options: Mapping[str, Any]) -> Callable[[Any, Path], Expor
     return write
 
 
-def export(controller: "Controller", form: str, path: str | Path, **options: Any) -> list[Path]:
+def export(controller: "Controller", form: Form, path: str | Path, **options: Unpack[FormatOptions]) -> list[Path]:
     """The controller, or its network alone, as files for another program: `npred export` from Python.
 
     Parameters
@@ -176,7 +189,7 @@ def export(controller: "Controller", form: str, path: str | Path, **options: Any
         graph.
     path : str or Path
         A file, as "tank.fmu", for "controller" a folder.
-    **options : of any type
+    **options
         The flags of `npred export FORM`, as precision="float", name="tank" or platforms=["win64"].
 
     Returns

@@ -77,6 +77,7 @@ def sources(
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
+        "period": f"#define {name.upper()}_DT {controller.dt!r}",
         "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": single(text) if precision == "float" else text,
@@ -151,7 +152,7 @@ def _settings(
 ) -> str:
     """The numbers that the controller is set to, and the kernels by their parts, as constants."""
     low, high = D_hat_bounds(controller)
-    numbers = {"DT": controller.dt, "D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
+    numbers = {"D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
     numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max}
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
@@ -179,7 +180,7 @@ def _settings(
 
 def _about(controller: Controller, real: str, model: str) -> list[str]:
     """The parts of the controller, for the head of the file."""
-    plant = controller.plant
+    plant, observed = controller.plant, controller.observer
     law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
     units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
     return [
@@ -188,7 +189,12 @@ def _about(controller: Controller, real: str, model: str) -> list[str]:
         f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
         f"A control step each {plant.time_text(controller.dt, '')}; D_hat and t are in this unit too.",
         f"In {real} precision; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
-        f"X: {', '.join(units.get(name, name) for name in plant.states)}.",
+        f"{'X, a sample' if observed else 'X'}: {', '.join(units.get(name, name) for name in controller.outputs)}.",
+        *(
+            [f"The state, by {type(observed).__name__}: {', '.join(units.get(name, name) for name in plant.states)}."]
+            if observed
+            else []
+        ),
         f"U: {', '.join(units.get(name, name) for name in plant.inputs)}.",
     ]
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -63,7 +63,8 @@ class Reading(TypedDict, total=False):
 def identify(
     plant: Plant, t: Any, U: Any = None, X: Any = None, *, free: Sequence[str] = (),
     bounds: Mapping[str, tuple[float, float]] | None = None, longest: float | None = None, offset: bool = False,
-    time_varying: bool = False, model_error: float = MODEL_ERROR, hold: str | None = None, **reading: Unpack[Reading],
+    time_varying: bool = False, model_error: float = MODEL_ERROR, hold: Literal["zero", "linear"] | None = None,
+    **reading: Unpack[Reading],
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
@@ -269,10 +270,14 @@ def _far(plant: Plant, log: Log) -> list[str]:
     lines = []
     for name, y in () if plant.declares_output else zip(plant.states, log.Y.T, strict=True):
         if name in plant.box and np.isfinite(y).any():
-            (low, high), middle = plant.box[name], np.nanmedian(y)
-            if max(low - middle, middle - high) > FAR * (high - low):
-                both = f"{name} is about {middle:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
-                lines.append(f"{both}: if the units differ, scale its column.")
+            (low, high), (least, most) = plant.box[name], np.nanquantile(y, [0.1, 0.9])
+            if max(low - least, most - high) > FAR * (high - low):
+                both = (
+                    f"{name} is {least:.3g} to {most:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
+                )
+                angle = plant.units.get(name, "").startswith("rad")
+                cure = f", from degrees by the factor {np.pi / 180:.6g}" if angle else ""
+                lines.append(f"{both}: if the units differ, scale its column{cure}.")
     return lines
 
 

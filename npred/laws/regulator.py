@@ -26,9 +26,9 @@ def lqr(plant: Plant, Q: ArrayLike | None = None, R: ArrayLike | None = None) ->
     ----------
     plant : Plant
         From npred.plant.
-    Q : array (n, n) or its diagonal (n,), optional
+    Q : array (n, n), its diagonal (n,), or one number for all, optional
         Weights of the states; by default 1 / size², the size half the box (Bryson's rule).
-    R : array (m, m) or its diagonal (m,), optional
+    R : array (m, m), its diagonal (m,), or one number for all, optional
         Weights of the inputs; by default 1 / size², the size the distance to the nearer bound.
 
     Returns
@@ -53,7 +53,7 @@ def weights(design: Design, Q: ArrayLike | None = None, R: ArrayLike | None = No
             both.append(np.diag(1 / sizes**2))
             continue
         matrix, size = array_checks.floats(name, passed), len(sizes)
-        matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
+        matrix = np.diag(np.broadcast_to(matrix, size)) if matrix.ndim == 0 or matrix.shape == (size,) else matrix
         fits = matrix.shape == (size, size) and np.isfinite(matrix).all() and np.allclose(matrix, matrix.T)
         least = np.finfo(float).tiny if definite else -1e-12 * np.abs(matrix).max(initial=0.0)
         if not fits or np.linalg.eigvalsh(matrix).min() < least:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.progress import announce, counted, quiet
-from npred.estimation.delay_law import DelayLaw
+from npred.estimation.delay_law import Adaptation, DelayLaw
 from npred.loop import clocked, engine, loop_checks, settable
 from npred.loop.loop import Loop, LoopParts
 from npred.loop.simulation import Simulation
@@ -26,8 +26,8 @@ __all__ = ["Samples", "Trajectories", "simulate"]
 
 def simulate(
     plant: Plant, predictor: Predictor | None, *, X0: Any, t_end: float, D: Any = None, D_hat: Any = None,
-    dt: float | None = None, adaptation: DelayLaw | None = None, every: int = 1, samples: ArrayLike | None = None,
-    progress: Callable[[int], Any] | bool | None = None, **parts: Unpack[LoopParts],
+    dt: float | None = None, adaptation: DelayLaw | Adaptation | str | None = None, every: int = 1,
+    samples: ArrayLike | None = None, progress: Callable[[int], Any] | bool | None = None, **parts: Unpack[LoopParts],
 ) -> Trajectories:  # fmt: skip
     """Loops of X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14].
 
@@ -65,8 +65,8 @@ def simulate(
     dt : float, in the plant's unit of time, optional
         Control step; U is held over it. By default npred.loop.control_step.usual of the delay and of the plant's
         rates, 0.005 for a delay of 1 or 2.
-    adaptation : DelayLaw or None, optional
-        Law of the estimate D_hat; None freezes it.
+    adaptation : DelayLaw, its name as "delay-observer", or None, optional
+        Law of the estimate D_hat; None or "frozen" freezes it.
     every : int, default 1
         Control steps between two kept states.
     samples : int array (..., S), optional

@@ -14,12 +14,12 @@ from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import say
-from npred.estimation.delay_law import DelayLaw, Part, part
+from npred.estimation.delay_law import Adaptation, DelayLaw, Part, part
 from npred.loop import control_step, engine, loop_checks, settable, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
-from npred.loop.loop import REALITY, ControllerParts, Loop
+from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.timing import ROUNDING, SNAP, snapped
 from npred.plants import inputs, setpoint
@@ -34,11 +34,13 @@ STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one 
 
 
 def controller(
-    plant: Plant, predictor: Predictor, adaptation: DelayLaw | None, dt: float, *, D_hat: float | None = None,
-    **parts: Unpack[ControllerParts],
+    plant: Plant, predictor: Predictor, adaptation: DelayLaw | Adaptation | str | None, dt: float, *,
+    D_hat: float | None = None, **parts: Unpack[ControllerParts],
 ) -> "Controller":  # fmt: skip
-    """The controller alone, for a real plant: `U = controller.step(X, u)` each dt, and `controller.step(X)` with
-    `actuator="history"`, where u is not measured.
+    """The controller alone, for a real plant: `U = controller.step(X)` each dt.
+
+    Hardware does not measure the actuator state u, so the controller reads it at D_hat from its commands; with
+    `actuator="measured"`, the article's setting and the default of simulate, it is `controller.step(X, u)`.
 
     Parameters
     ----------
@@ -46,15 +48,15 @@ def controller(
         From npred.plant.
     predictor : Predictor
         From npred.predictor, npred.load or npred.guarded.
-    adaptation : DelayLaw or None
-        Law of the estimate D_hat; None freezes it.
+    adaptation : DelayLaw, its name as "delay-observer", or None
+        Law of the estimate D_hat; None or "frozen" freezes it.
     dt : float, in the plant's unit of time
         Control step; U is held over it.
     D_hat : float, in the plant's unit of time, optional
         First estimate of the delay; by default the middle of the law's bounds.
     **parts
-        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator, observer, watchdog,
-        safety, outlier_limit, max_sample_age, history_length.
+        The other parts of npred.Loop that a controller has: input_bounds, u0, actuator (by default "history"),
+        observer, watchdog, safety, outlier_limit, max_sample_age, history_length.
 
     Returns
     -------
@@ -67,7 +69,7 @@ def controller(
         For parts that do not fit together, and for an unknown one.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
-    return Controller(Loop.of("controller", REALITY, named | {**parts}))
+    return Controller(Loop.of("controller", REALITY, named | {"actuator": HISTORY} | {**parts}))
 
 
 class Controller(InNotebook):

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any, Self, TypedDict
+from typing import Any, Literal, Self, TypedDict, get_args
 
 import numpy as np
 
 from npred.base.errors import ConfigError, similar
-from npred.estimation.delay_law import DelayLaw
+from npred.estimation.delay_law import DelayLaw, by_name
 from npred.estimation.observers import Observer
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
@@ -16,7 +16,8 @@ from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
 
-MEASURED, HISTORY = "measured", "history"  # where the controller has the actuator state from
+Actuator = Literal["measured", "history"]  # where the controller has the actuator state from
+MEASURED, HISTORY = get_args(Actuator)
 
 PERFECT = Measurement()
 
@@ -32,11 +33,11 @@ class Loop:
     plant: Plant  #: the controller's model, from npred.plant
     predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
     dt: float = None  # type: ignore[assignment]  #: control step; U is held over it; by default it follows D
-    adaptation: DelayLaw | None = None  #: law of the estimate D_hat; None freezes it
+    adaptation: DelayLaw | None = None  #: law of the estimate D_hat, also by name, as a pipeline; None freezes it
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
     u0: Any = None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa(X0)), rows (k, m) or a function
-    actuator: str = MEASURED  #: "measured": u is; "history": u is read at D_hat from the controller's commands
+    actuator: Actuator = "measured"  #: "measured": u is; "history": u is read at D_hat from the controller's commands
     observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
     watchdog: Watchdog | None = None  #: says what U is where no sample comes
     safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
@@ -51,6 +52,11 @@ class Loop:
     setpoints: Any = None  #: {parameter: (times, values)}, set from the first control step at or after each time on
     timing: Timing | None = None  #: clock of the calls and commands
     integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
+
+    def __post_init__(self) -> None:
+        """A law by name is the law with its defaults."""
+        if isinstance(self.adaptation, str):
+            object.__setattr__(self, "adaptation", by_name(self.adaptation))
 
     @property
     def real(self) -> Plant:
@@ -90,7 +96,7 @@ class ControllerParts(TypedDict, total=False):
 
     input_bounds: Any
     u0: Any
-    actuator: str
+    actuator: Actuator
     observer: Observer | None
     watchdog: Watchdog | None
     safety: SafetyFilter | None

@@ -146,7 +146,7 @@ KINDS = {
     "predictor": (Predictor, "a Predictor", "make one with npred.predictor or npred.load"),
     "adaptation": (
         DelayLaw, "a DelayLaw",
-        "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), or give None, which freezes D_hat",
+        "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), name one, or give None, which freezes D_hat",
     ),
     "measurement": (Measurement, "an npred.Measurement", "make one"),
     "safety": (SafetyFilter, "npred.SafetyFilter", "make one"),

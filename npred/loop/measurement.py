@@ -18,7 +18,7 @@ from npred.base.errors import ConfigError
 if TYPE_CHECKING:  # reading a pipeline has no use for what compiles
     from npred.plants.base import Plant
 
-PER_STATE = ("noise", "absolute", "bias", "resolution")  # one number, or one for each state
+PER_STATE = ("noise", "relative_noise", "bias", "resolution")  # one number, or one for each state
 Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
 PerState: TypeAlias = float | Sequence[float]
 
@@ -39,7 +39,7 @@ def whole(label: str, name: str, number: Any) -> None:
 
 @dataclass(frozen=True)
 class Sensors:
-    """Sensors: a sample of state i is q_i(X_i (1 + noise_i ξ_i) + absolute_i η_i + bias_i), every `period`.
+    """Sensors: a sample of state i is q_i(X_i (1 + relative_noise_i ξ_i) + noise_i η_i + bias_i), each `period`.
 
     ξ and η are standard normal, independent by sample and state; q_i rounds to the nearest multiple of resolution_i,
     half to even, and not at all where that is 0. The first sample, at t = 0, is there at once. Times are rounded to
@@ -49,8 +49,8 @@ class Sensors:
     Raises ConfigError for a value out of range.
     """
 
-    noise: PerState = 0.0  #: standard deviation of a sample, relative to its value
-    absolute: PerState = field(default=0.0, kw_only=True)  #: the same, in units of the state
+    noise: PerState = 0.0  #: standard deviation of a sample, in units of the state
+    relative_noise: PerState = field(default=0.0, kw_only=True)  #: the same, relative to its value
     bias: PerState = field(default=0.0, kw_only=True)  #: offset of each sample, in units of the state
     resolution: PerState = field(default=0.0, kw_only=True)  #: step of the sensor, in units of the state; 0 for none
     period: float | None = None  #: between samples, in the plant's unit of time; by default the control step
@@ -87,8 +87,8 @@ class Sensors:
 
     def sampled(self, X: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """A sample of X (n,) at its time, by another generator than that of npred/kernels/c/sensor_errors.h."""
-        Y = X * (1 + np.asarray(self.noise) * rng.standard_normal(X.shape))
-        Y = Y + np.asarray(self.absolute) * rng.standard_normal(X.shape) + np.asarray(self.bias)
+        Y = X * (1 + np.asarray(self.relative_noise) * rng.standard_normal(X.shape))
+        Y = Y + np.asarray(self.noise) * rng.standard_normal(X.shape) + np.asarray(self.bias)
         step = np.broadcast_to(self.resolution, X.shape).astype(float)
         return np.where(step > 0, np.round(Y / np.where(step > 0, step, 1.0)) * step, Y)
 

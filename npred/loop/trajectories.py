@@ -118,18 +118,25 @@ class Trajectories:
     def _repr_html_(self) -> str:
         return trajectory_views.html(self)
 
-    def plot(self, D: Any = None, ax: Any = None, label: str | None = None) -> Any:
+    def plot(
+        self, D: Any = None, ax: Any = None, label: str | None = None, *,
+        signals: Sequence[str] = trajectory_views.SIGNALS, size: str | tuple[float, float] | None = None,
+    ) -> Any:  # fmt: skip
         """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
 
-        Gives matplotlib's axes (n + m + 1,); their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
+        `signals` chooses panels: "X", "U", "D_hat", or single states and inputs by name. `size` is that of the figure:
+        width and height in inches, or "article", a column of 3.5 inches in letters of 7 points.
+        Gives matplotlib's axes, one a panel; their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
         Loops are compared in one figure with a label each, which has one colour in all panels:
 
             axes = first.plot(label="first")
             second.plot(ax=axes, label="second")
 
-        Raises ConfigError where `ax` is not as many axes as there are series.
+        A loop that runs away (it leaves the finite numbers, or grows by half again in the last tenth of the time) may
+        leave the picture, so that the others can be seen.
+        Raises ConfigError where `ax` is not as many axes as there are series, for an unknown signal and another size.
         """
-        return trajectory_views.plot(self, D, ax, label)
+        return trajectory_views.plot(self, D, ax, label, signals, size)
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame: a row per kept time, a column per state and input, and D_hat; the index is t.

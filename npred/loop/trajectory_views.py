@@ -1,20 +1,23 @@
 """Views of closed loops: a summary in text, a plot, a data frame."""
 
 import io
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from npred.base import array_checks, notebook
-from npred.base.errors import ConfigError, MissingError
+from npred.base.errors import ConfigError, MissingError, unlisted
+from npred.plants import notation
 
 if TYPE_CHECKING:
     from npred.loop.trajectories import Trajectories
 
 DRAWN = 20  # loops, at most, in a notebook without a call
+SIGNALS = ("X", "U", "D_hat")
+TAIL, GROWTH, REACH = 0.1, 1.5, 100.0  # shares of the horizon; factors of |X|, and of a series' size
+KEPT, LOST = "kept", "lost"  # the group of a loop's lines
 
 
 def summary(loops: "Trajectories") -> str:
@@ -59,17 +62,22 @@ def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
     return f"first at control step {steps[loop]}, {at}:", margin
 
 
-def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None) -> np.ndarray:
-    """A panel for each state, input and D_hat, all loops in each; the axes (n + m + 1,). D adds the true delay.
+def plot(
+    loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None,
+    signals: Sequence[str] = SIGNALS, size: str | tuple[float, float] | None = None,
+) -> np.ndarray:  # fmt: skip
+    """A panel for each series of `signals`, all loops in each; the axes. D adds the true delay.
 
-    Raises ConfigError for an `ax` that is not one axes for each panel.
+    Raises ConfigError for an `ax` that is not one axes for each panel, an unknown signal, or a size that is none.
     """
-    named = dict(series(loops))
+    named = _chosen(loops, signals)
     if ax is None:
         from matplotlib import pyplot
 
-        figure = pyplot.figure(figsize=_size(len(named)), layout="constrained")
+        figure = pyplot.figure(figsize=_size(len(named), size), layout="constrained")
         axes = figure.subplots(len(named), 1, sharex=True, squeeze=False)[:, 0]
+    elif size is not None:
+        raise ConfigError(f"size: expected none beside ax, whose figure has one, got {size!r}; leave one of them out")
     else:
         axes = np.ravel(np.array(ax, dtype=object))
         drawn = all(hasattr(panel, "axhline") for panel in axes)
@@ -79,23 +87,88 @@ def plot(loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None
             raise ConfigError(f"ax: expected {len(named)} {axes_of}, got {got}; {todo}")
     # what has a label has one colour in all panels, the next one of matplotlib's cycle
     colour = {} if label is None else {"color": f"C{len(axes[0].get_legend_handles_labels()[1])}"}
+    letters = 7 if size == "article" else axes[0].yaxis.label.get_fontsize()
+    leaves = _lost(loops)
     for panel, (name, values) in zip(axes, named.items(), strict=True):
         lines = panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2, **colour)
-        declared = name.removeprefix("X.").removeprefix("U.")
-        unit = loops.time_unit if name == "D_hat" else (loops.units or {}).get(declared, "")
-        text = (loops.labels or {}).get(declared, name) + (f" ({unit})" if unit else "")
-        text = re.sub(r"_\{([^}]+)\}", r"$_{\\mathrm{\1}}$", text)  # subscripts and powers as matplotlib sets them
-        panel.set_ylabel(re.sub(r"\^\{?(-?\d+)\}?", r"$^{\1}$", text))
+        for line, left in zip(lines, leaves, strict=True):
+            line.set_gid(LOST if left else KEPT)
+        panel.set_ylabel(_label(loops, name), fontsize=letters)
+        panel.tick_params(labelsize=letters)
         panel.grid(visible=True, alpha=0.3)
         if label is not None:
             lines[0].set_label(label)
-    if D is not None:
-        for delay in np.unique(array_checks.floats("D", D)):
-            axes[-1].axhline(delay, color="black", linestyle="--", linewidth=0.8)
-    axes[-1].set_xlabel(f"t ({loops.time_unit})")
+        if name != "D_hat":
+            _clip(panel)
+        elif D is not None:
+            for delay in np.unique(array_checks.floats("D", D)):
+                panel.axhline(delay, color="black", linestyle="--", linewidth=0.8)
+    axes[-1].set_xlabel(f"t ({loops.time_unit})", fontsize=letters)
     if label is not None:  # above the panels, where no line is
-        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=letters)
     return axes
+
+
+def _chosen(loops: "Trajectories", signals: Sequence[str]) -> dict[str, np.ndarray]:
+    """The series that are a signal of these, or of its letter X or U, in the order of the signals."""
+    every, chosen = dict(series(loops)), dict[str, np.ndarray]()
+    names = [*every]
+    of = {"X": names[: loops.X.shape[-1]], "U": names[loops.X.shape[-1] : -1]} | {name: [name] for name in names}
+    for signal in [signals] if isinstance(signals, str) else signals:
+        if signal not in of:
+            raise ConfigError(unlisted("signals", signal, of))
+        chosen |= {name: every[name] for name in of[signal]}
+    if not chosen:
+        raise ConfigError(f"signals: expected at least one of {', '.join(of)}, got none; name one of them")
+    return chosen
+
+
+def _label(loops: "Trajectories", name: str) -> str:
+    """A series as matplotlib sets it: its label, or its name in letters, and its unit."""
+    declared = name.removeprefix("X.").removeprefix("U.")
+    if name == "D_hat":
+        return notation.mathematics(notation.with_unit(notation.D_HAT, loops.time_unit))
+    text = notation.raised((loops.labels or {}).get(declared) or notation.spelt(declared))
+    return notation.mathematics(notation.with_unit(text, (loops.units or {}).get(declared, "")))
+
+
+def _lost(loops: "Trajectories") -> np.ndarray:
+    """Which loops run away, (count,): they leave the numbers, or the last tenth is still beyond all before it."""
+    X = np.abs(loops.X.reshape(-1, *loops.X.shape[-2:]))
+    last = max(int((1 - TAIL) * X.shape[1]), 1)
+    before, after = X[:, :last].max(axis=1), X[:, last:].max(axis=1, initial=0.0)
+    return (loops.escaped.reshape(-1) >= 0) | ~np.isfinite(X).all(axis=(1, 2)) | (after > GROWTH * before).any(axis=1)
+
+
+def _clip(panel: Any) -> None:
+    """Let lost loops leave a panel that has some, so that the others can be seen; alone they leave it REACH times
+    above the first tenth of what is finite.
+    """
+    lines = [(line.get_gid(), np.asarray(line.get_ydata(), dtype=float)) for line in panel.lines]
+    kept, lost = ([y for of, y in lines if (of == LOST) == is_lost and len(y)] for is_lost in (False, True))
+    if not lost:
+        return
+    if not any(of == KEPT for of, _ in lines):
+        for y in lost:
+            size = np.abs(y[: len(y) if np.isfinite(y).all() else int(np.argmin(np.isfinite(y)))])
+            reach = REACH * size[: max(int(TAIL * len(size)), 1)].max(initial=1.0)
+            kept.append(y[: len(size)][np.maximum.accumulate(size) <= reach])
+    panel.set_autoscaley_on(False)  # the range of all lines overflows
+    panel.set_ylim(around(kept, lost))
+
+
+def around(series: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The range of all series, and of those others that leave it by less than its height; with room on both sides."""
+
+    def span(values: np.ndarray) -> tuple[float, float] | None:
+        finite = values[np.isfinite(values)]
+        return (float(finite.min()), float(finite.max())) if len(finite) else None
+
+    low, high = span(np.concatenate(series)) or (0.0, 1.0)
+    near = [ends for ends in map(span, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
+    low, high = min([low, *(a for a, _ in near)]), max([high, *(b for _, b in near)])
+    room = 0.15 * (high - low) or 1.0
+    return low - room, high + room
 
 
 def html(loops: "Trajectories") -> str:
@@ -114,9 +187,19 @@ def html(loops: "Trajectories") -> str:
     return text + buffer.getvalue()[buffer.getvalue().index("<svg") :]
 
 
-def _size(panels: int) -> tuple[float, float]:
-    """Width and height of their figure, in inches."""
-    return 6.4, 1.0 + 1.2 * panels
+def _size(panels: int, size: str | tuple[float, float] | None = None) -> tuple[float, float]:
+    """Width and height of their figure, in inches. Raises ConfigError for what is no size."""
+    if size is None:
+        return 6.4, 1.0 + 1.2 * panels
+    if size == "article":
+        return 3.5, 0.5 + 0.85 * panels
+    try:
+        width, height = map(float, size)  # type: ignore[arg-type]
+        if width > 0 and height > 0:
+            return width, height
+    except (TypeError, ValueError):
+        pass
+    raise ConfigError(f'size: expected "article", or width and height in inches, got {size!r}; as (7, 4)')
 
 
 def dataframe(loops: "Trajectories") -> Any:

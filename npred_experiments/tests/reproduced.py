@@ -24,7 +24,7 @@ def small_loop() -> NetworkLoop:
 
 def numerical() -> npred.Predictor:
     """What its networks learn."""
-    return npred.predictor("rk4", plants.resolve("scalar"), nx=NX)
+    return npred.predictor(plants.resolve("scalar"), "rk4", nx=NX)
 
 
 def _simulated(predict: Predict, X0: np.ndarray) -> Trajectories:

@@ -85,7 +85,7 @@ def test_calls_have_the_delay_that_the_plant_declares_at_their_states_and_times(
     X = rng.uniform(*box.T, (30, plant.n))
     u, D, exact = np.repeat(plant.kappa(X, t)[:, None], 21, axis=1), plant.delay(X, t), RK4(plant, 21)
     data = Dataset(X, u, D, exact(X, u, D, t), D, t, np.arange(30), np.zeros(30, dtype=bool))
-    coarse, table = npred.predictor("euler", plant, 21), Certify(restarts=8, steps=6)
+    coarse, table = npred.predictor(plant, "euler", 21), Certify(restarts=8, steps=6)
     calls, error = adversary.search(plant, coarse, data, Inputs.of(data, box, plant), table, 0, lambda count: None)
     X, _, D, t = calls
     np.testing.assert_allclose(D, [plant.delay(*row) for row in zip(X, t, strict=True)], rtol=1e-12)

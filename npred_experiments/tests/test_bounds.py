@@ -47,7 +47,7 @@ def _slope(s, P, plant, begin, end, h):
 @pytest.fixture(scope="module")
 def weighted():
     X, u, D_hat = rows()
-    return bounds.weight(PLANT, npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW)
+    return bounds.weight(PLANT, npred.predictor(PLANT, "rk4", NX)(X, u, D_hat), u, D_hat, NOW)
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.05])
@@ -81,7 +81,7 @@ def test_an_error_without_bound_is_infinite():
 
 def test_the_weight_that_is_found_makes_errors_grow_less_than_any_given_one(weighted):
     X, u, D_hat = rows()
-    P = npred.predictor("rk4", PLANT, NX)(X, u, D_hat)
+    P = npred.predictor(PLANT, "rk4", NX)(X, u, D_hat)
 
     def mean(W):
         return np.log(ErrorBound(PLANT, W).growth(P, u, D_hat, NOW)).mean()
@@ -92,7 +92,7 @@ def test_the_weight_that_is_found_makes_errors_grow_less_than_any_given_one(weig
 
 def test_small_errors_grow_by_no_more_than_the_factor(weighted):
     X, u, D_hat = (a[:6] for a in rows())
-    growth = ErrorBound(PLANT, weighted).growth(npred.predictor("rk4", PLANT, NX)(X, u, D_hat), u, D_hat, NOW[:6])
+    growth = ErrorBound(PLANT, weighted).growth(npred.predictor(PLANT, "rk4", NX)(X, u, D_hat), u, D_hat, NOW[:6])
     for k in range(6):
         columns = []
         for unit in np.eye(2):
@@ -119,7 +119,7 @@ def straight(u):
 
 def test_the_curve_is_inside_its_cells_and_its_residual_is_that_of_quadrature():
     X, u, D_hat = (a[:3] for a in rows())
-    Q = npred.predictor("heun", PLANT, NX)(X, u, D_hat)
+    Q = npred.predictor(PLANT, "heun", NX)(X, u, D_hat)
     curve = Curve(PLANT, Q, X, straight(u), D_hat, NOW[:3])
     x = grid.nodes(NX)
     fine = np.linspace(0, 1, 20 * (NX - 1) + 1)
@@ -177,7 +177,7 @@ def of_another_start(plant, X, wrong, monkeypatch):
     """The bound of a prediction from `wrong`, told to be from X, where nothing is corrected first."""
     monkeypatch.setattr(bounds, "SWEEPS", 0)
     u, one = np.zeros((1, NX, 1)), np.ones(1)
-    P_hat = npred.predictor("rk4", plant, NX)(np.array([[wrong]]), u, one)
+    P_hat = npred.predictor(plant, "rk4", NX)(np.array([[wrong]]), u, one)
     return ErrorBound(plant, np.eye(1))(P_hat, np.array([[X]]), u, one, 0 * one)[0]
 
 

@@ -34,7 +34,7 @@ def test_the_oracle_does_not_depend_on_its_step(start: float, end: tuple[float, 
 
 def test_from_ones_the_loop_is_marked_and_ends():
     plant = plants.make("unicycle_state_delay", state_delay_unicycle.UnicycleStateDelay)
-    loop = npred.simulate(plant, npred.predictor("rk4", plant), X0=[1.0, 1.0, 1.0], t_end=4.0, dt=0.002)
+    loop = npred.simulate(plant, npred.predictor(plant, "rk4"), X0=[1.0, 1.0, 1.0], t_end=4.0, dt=0.002)
     assert loop.infeasible.any()
     assert np.isnan(loop.X[-1]).all()
 

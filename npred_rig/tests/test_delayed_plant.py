@@ -39,7 +39,7 @@ def test_regular_commands_have_the_age_of_their_delay_and_half_a_step():
 
 def test_sensors_have_their_errors():
     X, rng = np.full((20000, 2), 2.0), np.random.default_rng(0)
-    Y = Sensors(noise=0.1, absolute=[0.0, 0.3], bias=[0.0, 1.0], resolution=[0.0, 0.5]).sampled(X, rng)
+    Y = Sensors(relative_noise=0.1, noise=[0.0, 0.3], bias=[0.0, 1.0], resolution=[0.0, 0.5]).sampled(X, rng)
     assert Y[:, 0].std() == pytest.approx(0.2, rel=0.05)
     assert Y[:, 1].mean() == pytest.approx(3.0, rel=0.01)
     assert Y[:, 1].std() == pytest.approx(np.sqrt(0.2**2 + 0.3**2 + 0.5**2 / 12), rel=0.05)

@@ -34,7 +34,7 @@ nx = 21
 t_end = 10.0
 case_t_end = 10.0
 adaptation = "delay-observer"
-measurement = { absolute = 0.002 }
+measurement = { noise = 0.002 }
 """
 
 
@@ -178,7 +178,7 @@ def test_it_steps_the_set_points_of_the_table(start, tmp_path):
     (tmp_path / "servo.py").write_text(SERVO)
     table = PIPELINE.replace('"scalar"', '"servo.py:Servo"\nkappa = "lqr"')
     (tmp_path / "short.toml").write_text(table + "setpoints.aim = { at = [3.0], to = [1.5] }\n")
-    process = start("--seconds", "9", "--delay", "0.05")
+    process = start("--seconds", "9", "--latency", "0.05")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert json.loads(out)["radius"] < 0.15
@@ -227,7 +227,7 @@ def test_a_plant_that_swings_has_a_radius_whatever_its_output_is_called(start, t
         ("measurement={period = 0.02, jitter = 0.1}", "got evaluate.measurement.jitter;"),
         ("timing.overrun=0.1", "got evaluate.timing;"),
         ("X0=[1.0, 2.0]", "X0: expected shape (..., 1)"),
-        ("measurement.noise=[0.1, 0.2]", "measurement: expected noise as one number or 1"),
+        ("measurement.relative_noise=[0.1, 0.2]", "measurement: expected relative_noise as one number or 1"),
     ],
 )
 def test_what_the_rig_does_not_honour_is_refused_by_name(tmp_path, monkeypatch, override, words):
@@ -247,7 +247,7 @@ def test_the_network_is_that_of_the_overrides_and_has_the_guard(tmp_path, monkey
         npred.plant("scalar"),
     )
     monkeypatch.setattr(rig, "load_model", lambda *arguments: asked.append(arguments))
-    monkeypatch.setattr(rig, "loaded", lambda stored, nx, device, runtime: npred.predictor("heun", plant, nx))
+    monkeypatch.setattr(rig, "loaded", lambda stored, nx, device, runtime: npred.predictor(plant, "heun", nx))
     predictor = rig._controller(options, plant, Channel()).predictor
     assert asked == [("short.toml:deeponet", options.store, overrides)]
     assert isinstance(predictor, Guarded) and predictor.tolerance == 0.02

@@ -18,7 +18,7 @@ LATE = 1e-4
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """100 calls of which number 40 is left out; a sample for each second call, number 7 lost, 20 and 21 exchanged."""
-    controller = npred.controller(PLANT, npred.predictor("rk4", PLANT, 21), None, DT, D_hat=0.3, actuator="history")
+    controller = npred.controller(PLANT, npred.predictor(PLANT, "rk4", 21), None, DT, D_hat=0.3, actuator="history")
     written = log.LogFile(tmp_path / "log.csv", controller)
     for k in [k for k in range(100) if k != 40]:
         t = k * DT + LATE

@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 
 import npred
 from npred.base.registry import STAGES, declared_stage
-from npred.cli import app, inspect
+from npred.cli import app, inspect, main
 from npred.lab.config.results import Evaluated
 from npred.lab.store import Question, ResultInput, Store
 
@@ -351,6 +351,43 @@ def test_bad_usage_is_said_by_typer_with_exit_code_2(call: Call, arguments: list
     assert re.search(words, result.stderr.splitlines()[-1])
 
 
+def test_a_failure_is_a_document_too(call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    result = call("status", "nothing.toml", "--json")
+    error = json.loads(result.stdout)["error"]
+    assert result.exit_code == 2 and error["kind"] == "ConfigError" and error["exit_code"] == 2
+    assert result.stderr == f"error: {error['message']}\n" and call("status", "nothing.toml").stdout == ""
+    gate = call("status", "--check", "--json")  # which has its answer on stdout already
+    assert gate.exit_code == 3 and set(json.loads(gate.stdout)) == {"stages"}
+    monkeypatch.setattr(inspect, "nodes", lambda *_: 1 / 0)
+    broken = call("status", "--json")
+    assert broken.exit_code == 1 and json.loads(broken.stdout)["error"]["kind"] == "ZeroDivisionError"
+    capsys.readouterr()
+    monkeypatch.setattr(sys, "argv", ["npred", "status", "--nonsense", "--json"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    said = capsys.readouterr()
+    error = json.loads(said.out)["error"]
+    assert error["kind"] == "UsageError" and "--nonsense" in error["message"] and error["message"] in said.err
+
+
+@pytest.mark.parametrize(
+    ("command", "unused"),
+    [
+        ("generate", "--tensorboard"),
+        ("identify", "--tensorboard --wide --dry-run --executor"),
+        ("status", "--jobs"),
+        ("why", "--jobs"),
+        ("tune", "--dry-run --executor"),
+        ("rig", "--jobs --device"),
+    ],
+)
+def test_a_command_has_no_flag_that_it_does_not_use(call: Call, command: str, unused: str):
+    for flag in unused.split():
+        result = call(command, flag, "1")
+        assert result.exit_code == 2 and f"No such option: {flag}" in result.stderr
+    assert "--tensorboard" in call("run", "-h").stdout
+
+
 @pytest.mark.parametrize("arguments", [["run", "--help"], ["run", "-h"], ["help", "run"]])
 def test_help_has_three_names_and_a_flag_no_type(call: Call, arguments: list[str]):
     result = call(*arguments)
@@ -503,7 +540,7 @@ def test_no_answer_of_a_stage_moves_the_cursor(call: Call, monkeypatch: pytest.M
 def test_every_stage_is_a_command_with_its_line_of_the_table(call: Call, name: str):
     result = call(name, "--help")
     words = " ".join(result.stdout.replace("│", " ").split())
-    assert result.exit_code == 0 and declared_stage(name).help in words and "--dry-run" in words
+    assert result.exit_code == 0 and declared_stage(name).help in words and "--force" in words
 
 
 @pytest.mark.parametrize(("text", "said"), [("\nlost", "lost"), ("", "no message"), (" \n ", "no message")])

@@ -17,6 +17,7 @@ import npred
 from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.exports import c_files
+from npred.lab import config
 
 TEXT = """
 plant = "activator_repressor"
@@ -92,6 +93,14 @@ def test_a_graph_that_differs_is_refused(export):
     done = export("onnx", "--atol", "0")
     assert done.exit_code == 1 and "expected P and U within 0 of the model" in done.stderr
     assert not list(Path().iterdir())
+
+
+def test_a_pipeline_without_a_model_leads_to_the_controller(export, trained):
+    file = trained / "p.toml"
+    done = export("c", model=str(file))
+    assert done.exit_code == 2 and done.stderr.strip().endswith(
+        f"write {file}:deeponet; without a network, npred export controller {file} --predictor heun"
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,7 +185,9 @@ def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     (tmp_path / "seen.toml").write_text("\n".join(lines))
     done = export("controller", "--predictor", "rk4", "--nx", "21", model=str(tmp_path / "seen.toml"))
     assert done.exit_code == 0, done.output
-    assert "NPRED_N_OUTPUTS = 1" in Path("npred/npred.h").read_text()
+    header = Path("npred/npred.h").read_text()
+    assert "NPRED_N_OUTPUTS = 1" in header and " * X, a sample: S.\n * The state, by EKF: Z, S.\n" in header
+    assert f"#define NPRED_DT {config.load(tmp_path / 'seen.toml').evaluate.dt!r}\n" in header
     assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
 
 
@@ -248,7 +259,7 @@ def from_python(trained, tmp_path, monkeypatch):
     """A controller with the trained network, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     network = npred.load(f"{trained / 'p.toml'}:deeponet", store=trained / "store", nx=21)
-    return npred.controller(network.plant, network, None, 0.01, D_hat=0.5)
+    return npred.controller(network.plant, network, None, 0.01, D_hat=0.5, actuator="measured")
 
 
 def test_python_exports_a_controller_as_c_with_its_test(from_python):
@@ -274,7 +285,9 @@ def test_python_exports_the_network_of_a_controller_as_c(from_python):
 def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
     onnxruntime = pytest.importorskip("onnxruntime")
     guarded = npred.guarded(from_python.predictor, 0.1)
-    npred.export(npred.controller(guarded.plant, guarded, None, 0.01, D_hat=0.5), "onnx", "net.onnx")
+    npred.export(
+        npred.controller(guarded.plant, guarded, None, 0.01, D_hat=0.5, actuator="measured"), "onnx", "net.onnx"
+    )
     session = onnxruntime.InferenceSession("net.onnx")
     X, u, D_hat = np.float32([[0.03, 30.0]]), np.zeros((1, 21, 1), np.float32), np.float32([0.5])
     P = session.run(["P"], dict(zip([entry.name for entry in session.get_inputs()], (X, u, D_hat), strict=True)))[0]
@@ -298,7 +311,7 @@ def test_python_exports_the_network_of_a_controller_as_onnx(from_python):
 def test_python_says_what_cannot_be_exported(arguments, options, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5, actuator="measured")
     with pytest.raises(ConfigError, match=message):
         npred.export(controller, *arguments, **options)
     with pytest.raises(ConfigError, match="export: expected a controller, got <Plant scalar"):
@@ -311,7 +324,7 @@ def test_python_says_where_nothing_can_be_written(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     plant = npred.plant("scalar")
-    controller = npred.controller(plant, npred.predictor("rk4", plant), None, 0.01, D_hat=0.5)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4"), None, 0.01, D_hat=0.5, actuator="measured")
     with pytest.raises(ConfigError, match=f"path: expected a place to write, got '{path}': "):
         npred.export(controller, "fmu" if path.endswith(".fmu") else "controller", path)
 

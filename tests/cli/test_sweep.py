@@ -170,3 +170,5 @@ def test_the_folders_of_two_pipelines_of_one_name_are_two(sweep: Call, call: Cal
     assert Path("sweep-tiny/table.csv").read_text() == first
     assert len(Path("sweep-tiny-other/table.csv").read_text().splitlines()) == 5
     assert sweep("--to", "train").stdout.splitlines()[-1] == "sweep-tiny/table.csv"
+    Path("tiny.toml").rename("grid.toml")  # files are named after the file, not after the `name` in it
+    assert call("sweep", "grid.toml", "--to", "train", "--set", "seed=0:2").stdout.endswith("sweep-grid/table.csv\n")

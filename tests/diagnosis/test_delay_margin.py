@@ -117,7 +117,7 @@ def _lost(plant: Plant, D: float, edge: float, dt: float) -> float:
     """The error of D_hat near `edge` at which loops from near the equilibrium neither grow nor fall."""
     errors, rest = edge * np.linspace(0.98, 1.02, 5), plant.equilibrium
     loop = npred.simulate(
-        plant, npred.predictor("rk4", plant, 201), D=D, D_hat=D + errors, X0=rest + 1e-6 * np.maximum(1, np.abs(rest)),
+        plant, npred.predictor(plant, "rk4", 201), D=D, D_hat=D + errors, X0=rest + 1e-6 * np.maximum(1, np.abs(rest)),
         t_end=60 * D, dt=dt, u0="equilibrium", actuator="history",
     )  # fmt: skip
     gaps = np.linalg.norm(loop.X - rest, axis=-1)

@@ -23,7 +23,7 @@ def test_the_shares_are_those_of_the_loops():
     assert row.verdict in ("yes", "warn")
     case = diagnosis.Case(Plant("cart", Cart), 0.3, 101, 256)
     plant, X0, dt = case.plant, case.X[:64], 0.015
-    free = npred.simulate(plant, npred.predictor("rk4", plant, 41), D=0.3, D_hat=0.3, X0=X0, t_end=12.0, dt=dt)
+    free = npred.simulate(plant, npred.predictor(plant, "rk4", 41), D=0.3, D_hat=0.3, X0=X0, t_end=12.0, dt=dt)
     share = (free.safety[:, 20:] < 0).any(axis=(1, 2)).mean()
     assert share > 0.5 and f"in {row.text.split(' in ')[1].split(':')[0]}: {share:.0%} break a limit" in row.text
     assert "0% do not converge, with a filter 0%" in row.text

@@ -62,7 +62,7 @@ def test_a_margin_without_end_is_not_that_of_a_servo_with_friction():
     assert margin.verdict == "warn" and "any longer" not in margin.text
     assert "keeps it stable, but for small states only: from the box, with D_hat = 0 s" in margin.text
     start = loops.starts(Case(plant, D, 101, 256))
-    bare = npred.simulate(plant, npred.predictor("rk4", plant), D=D, D_hat=0.0, X0=start, t_end=60.0, dt=0.005)
+    bare = npred.simulate(plant, npred.predictor(plant, "rk4"), D=D, D_hat=0.0, X0=start, t_end=60.0, dt=0.005)
     angle = bare.X[:, -4000:, 0]
     swinging = np.ptp(angle, axis=1) > 0.5
     without = found["prediction"].figures["without"]
@@ -163,7 +163,7 @@ def test_a_heater_with_a_fan_is_offered_integral_action():
     windy, ends = Plant("windy", Heater, {"loss": 30.0}), []
     for observer in (None, npred.observers.EKF(plant, offset=True)):
         run = npred.simulate(
-            plant, npred.predictor("rk4", plant, 51), D=D, D_hat=D, X0=[40.0], t_end=60.0, dt=0.06, truth=windy,
+            plant, npred.predictor(plant, "rk4", 51), D=D, D_hat=D, X0=[40.0], t_end=60.0, dt=0.06, truth=windy,
             u0="equilibrium", actuator="history", observer=observer,
         )  # fmt: skip
         ends.append(abs(run.X[-200:, 0] - 40).max())

@@ -174,7 +174,7 @@ def test_a_derivative_that_is_not_finite_is_an_answer_of_no(tank_file, monkeypat
     assert answer.verdict == "no" and "(my_plant.py:10): no derivative at h = " in answer.text
 
 
-@pytest.mark.parametrize("settings", [{"delay": 0.0}, {"delay": np.inf}, {"nodes": 1}])
+@pytest.mark.parametrize("settings", [{"delay": 0.0}, {"delay": np.inf}, {"nx": 1}])
 def test_settings_that_make_no_sense_are_told(settings):
     with pytest.raises(ConfigError, match=f"{next(iter(settings))}: expected"):
         check(plants.resolve("scalar"), **settings)

@@ -290,7 +290,7 @@ def test_a_plant_that_outputs_tell_of_only_over_time_is_observed(kind):
     plant = plant_of(kind)
     assert np.linalg.matrix_rank(np.concatenate(EKF(plant).linearised(np.zeros(2), np.zeros(2)))) == 1
     run = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=21), D=0.3, D_hat=0.3, X0=[0.5, -0.7], t_end=60.0, dt=0.02,
+        plant, npred.predictor(plant, "rk4", nx=21), D=0.3, D_hat=0.3, X0=[0.5, -0.7], t_end=60.0, dt=0.02,
         actuator="history", observer=EKF(plant, offset=True), disturbance=lambda t: [0.05, -0.1],
     )  # fmt: skip
     assert np.abs(run.X[-1] - plant.target(60.0)).max() < 0.01
@@ -326,7 +326,7 @@ def test_an_observer_pickles_with_the_controller_that_has_it():
     plant = npred.plant("cart_pole")
     ekf = npred.observers.EKF(plant, outputs=("p", "theta"), offset=True)
     controller = npred.controller(
-        plant, npred.predictor("rk4", plant, 21), None, 0.01, D_hat=0.1, actuator="history", observer=ekf
+        plant, npred.predictor(plant, "rk4", 21), None, 0.01, D_hat=0.1, actuator="history", observer=ekf
     )
     for k in range(5):
         controller.step([0.1, 0.01 * k])

@@ -165,7 +165,7 @@ def test_in_a_controller_the_state_is_the_observers_also_between_samples(every, 
     plant, dt, D = plant_of(Swing), 0.02, 10
     observer, x = Luenberger(plant, rate=1.0, X0=[0.0, 0.0]), np.array([0.6, -0.4])
     controller = npred.controller(
-        plant, npred.predictor("heun", plant, nx=11), None, dt, D_hat=D * dt, actuator="history", observer=observer
+        plant, npred.predictor(plant, "heun", nx=11), None, dt, D_hat=D * dt, actuator="history", observer=observer
     )
     times, U, X_hat = np.arange(151) * dt, [], []
     for k, t in enumerate(times):

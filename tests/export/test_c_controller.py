@@ -31,29 +31,37 @@ def network(kind, precision=np.float64, nx=51):
 
 def controllers():
     """Each with the true delay and the start of its loop."""
-    heun, euler = npred.predictor("heun", PLANT, 51), npred.predictor("euler", PLANT, 51)
-    turns, slow = npred.predictor("rk4", UNICYCLE, 41), npred.predictor("heun", IN_SPACE, 41)
+    heun, euler = npred.predictor(PLANT, "heun", 51), npred.predictor(PLANT, "euler", 51)
+    turns, slow = npred.predictor(UNICYCLE, "rk4", 41), npred.predictor(IN_SPACE, "heun", 41)
     observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
-    measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor("rk4", PLANT, 51)}
+    measured = {"deeponet": network(0), "fno": network(1), "heun": heun, "rk4": npred.predictor(PLANT, "rk4", 51)}
     measured |= {"deeponet, guard": npred.guarded(network(0), 0.01), "euler, guard": npred.guarded(euler, 0.01)}
-    measured |= {"picard": npred.predictor("picard", PLANT, 21)}
+    measured |= {"picard": npred.predictor(PLANT, "picard", 21)}
     cases = {
-        name: (npred.controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0), 1.0, X0)
+        name: (npred.controller(PLANT, predictor, PAPER, 0.01, D_hat=2.0, actuator="measured"), 1.0, X0)
         for name, predictor in measured.items()
     }
     for name in ("deeponet", "fno", "deeponet, guard"):  # no data, no training: their loops converge where D is short
         law = npred.DelayAdaptation(1000.0, bounds=(0.05, 0.2))
-        cases[name] = (npred.controller(PLANT, measured[name], law, 0.01, D_hat=0.2), 0.1, X0)
+        cases[name] = (npred.controller(PLANT, measured[name], law, 0.01, D_hat=0.2, actuator="measured"), 0.1, X0)
     cases["observer"] = (npred.controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="history"), 1.0, X0)
-    cases["observer, measured"] = (npred.controller(PLANT, heun, observer, 0.01, D_hat=1.5), 1.0, X0)
+    cases["observer, measured"] = (
+        npred.controller(PLANT, heun, observer, 0.01, D_hat=1.5, actuator="measured"),
+        1.0,
+        X0,
+    )
     cases["l1, history"] = (
         npred.controller(PLANT, heun, npred.L1Adaptation(0.01, bounds=(0.1, 2.0)), 0.01, D_hat=1.2, actuator="history"),
         1.0, X0,
     )  # fmt: skip
-    cases["bounded"] = (npred.controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)]), 1.0, X0)
+    cases["bounded"] = (
+        npred.controller(PLANT, heun, PAPER, 0.01, D_hat=2.0, input_bounds=[(-0.001, 0.002)], actuator="measured"),
+        1.0,
+        X0,
+    )
     cases["two delays"] = (npred.controller(UNICYCLE, turns, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
     at_once = npred.plants.resolve("unicycle", delays=(0.0, 0.6))
-    soon = npred.predictor("rk4", at_once, 41)
+    soon = npred.predictor(at_once, "rk4", 41)
     cases["one input at once"] = (npred.controller(at_once, soon, None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE)
     cases["two delays, guard"] = (
         npred.controller(UNICYCLE, npred.guarded(turns, 1e-3), None, 0.01, D_hat=0.6, actuator="history"), 0.6, POSE,
@@ -233,7 +241,7 @@ def test_samples_of_noise_alone_leave_no_history_that_each_step_is_refused_for(t
     """Of 20 000 standard normal samples, doubled, the C file of this plant once took 33."""
     plant = npred.plant("unicycle_time_delay")
     controller = npred.controller(
-        plant, npred.predictor("heun", plant, 21), None, 0.01, actuator="history", outlier_limit=gate
+        plant, npred.predictor(plant, "heun", 21), None, 0.01, actuator="history", outlier_limit=gate
     )
     run = InC(library(controller, tmp_path), plant)
     samples = 2 * np.random.default_rng(0).standard_normal((5000, 3))
@@ -279,7 +287,11 @@ def test_a_prediction_that_diverges_is_refused_as_in_python(tmp_path):
 
     plant = npred.plants.Plant("cube", Cube)
     controller = npred.controller(
-        plant, npred.predictor("rk4", plant, 51), npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)), 0.01
+        plant,
+        npred.predictor(plant, "rk4", 51),
+        npred.DelayAdaptation(1.0, bounds=(0.1, 2.0)),
+        0.01,
+        actuator="measured",
     )
     run = InC(library(controller, tmp_path), plant)
     u = [np.zeros((51, 1))]
@@ -431,15 +443,15 @@ def test_what_runs_in_python_is_refused():
         compiled = False
 
     with pytest.raises(ConfigError, match="expected a predictor that is compiled, got euler"):
-        c_controller.sources(npred.controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0))
+        c_controller.sources(npred.controller(PLANT, Slow(PLANT, 21), PAPER, 0.01, D_hat=1.0, actuator="measured"))
 
 
 def test_the_example_of_the_documentation_compiles(tmp_path):
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     examples = re.findall(r"^```C\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     (example,) = (text for text in examples if "every_5_ms" in text)
-    heun = npred.predictor("heun", PLANT, 21)
-    files = c_controller.sources(npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0))
+    heun = npred.predictor(PLANT, "heun", 21)
+    files = c_controller.sources(npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0, actuator="measured"))
     for name, text in zip(("npred.h", "npred.c", "main.c"), (*files, example), strict=True):
         (tmp_path / name).write_text(text)
     start = "int main(void) { double X[2] = {0.03, 30}, u[21] = {0}, U[1] = {9};\n"
@@ -449,5 +461,5 @@ def test_the_example_of_the_documentation_compiles(tmp_path):
     command = ["gcc", *FLAGS, "-Wno-missing-prototypes", "run.c", "npred.c", "-o", "run", "-lm"]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=120)
     done = subprocess.run([tmp_path / "run"], capture_output=True, text=True, check=True, timeout=60)
-    U = npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0).step(X0, np.zeros((21, 1)))
+    U = npred.controller(PLANT, heun, PAPER, 0.005, D_hat=2.0, actuator="measured").step(X0, np.zeros((21, 1)))
     assert float(done.stdout) == pytest.approx(U[0], rel=1e-12)

@@ -69,7 +69,7 @@ def test_a_file_is_run_before_it_is_kept(tmp_path, monkeypatch):
     network = NetworkAlone(model, PLANT, 21, samples)
     facts = c_network.export(network, tmp_path / "model.c").facts
     P = Neural(PLANT, model, 21)(*samples)
-    exact = npred.predictor("rk4", PLANT, 21)(*samples)
+    exact = npred.predictor(PLANT, "rk4", 21)(*samples)
     eps = np.linalg.norm(P - exact, axis=-1).max()
     assert 0 < facts["error"] < 1e-4 and facts["eps"] == pytest.approx(eps, rel=1e-4)
     text = c_network.source

@@ -43,7 +43,7 @@ START[MOTOR.name] = [0.5, 0.0]
 
 def controller(plant, law=None, D_hat=0.2, nx=21, **named):
     D = None if plant.declares_delay else D_hat
-    return npred.controller(plant, npred.predictor("heun", plant, nx), law, DT, D_hat=D, actuator="history", **named)
+    return npred.controller(plant, npred.predictor(plant, "heun", nx), law, DT, D_hat=D, actuator="history", **named)
 
 
 def watched(then):
@@ -64,7 +64,7 @@ CASES = {
     "law of phi": lambda: controller(PAPER, npred.L1Adaptation(0.01, bounds=(0.1, 0.5))),
     "observer of the delay": lambda: controller(MOTOR, delays()),
     "guard": lambda: npred.controller(
-        PAPER, npred.guarded(npred.predictor("euler", PAPER, 21), 1e-5), None, DT, D_hat=0.2, actuator="history"
+        PAPER, npred.guarded(npred.predictor(PAPER, "euler", 21), 1e-5), None, DT, D_hat=0.2, actuator="history"
     ),
     **{f"watchdog, {then}": lambda then=then: watched(then) for then in REST},
     "EKF": lambda: controller(MOTOR, observer=npred.observers.EKF(MOTOR)),

@@ -24,16 +24,16 @@ LAW = npred.DelayAdaptation(1000.0, bounds=(0.1, 2.0))
 
 def measured(kind):
     network = Fused(PLANT, operator(SMALL[0]), 21, precision=kind)
-    return npred.controller(PLANT, npred.guarded(network, 0.01), LAW, 0.02, D_hat=1.5)
+    return npred.controller(PLANT, npred.guarded(network, 0.01), LAW, 0.02, D_hat=1.5, actuator="measured")
 
 
 def recalled(kind):
     observer = npred.DelayObserver(bounds=(0.2, 1.0), candidates=10)
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, 21), observer, 0.02, D_hat=0.5, actuator="history")
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), observer, 0.02, D_hat=0.5, actuator="history")
 
 
 def with_a_clock(kind):
-    return npred.controller(UNICYCLE, npred.predictor("rk4", UNICYCLE, 21), None, 0.02, D_hat=0.6, actuator="history")
+    return npred.controller(UNICYCLE, npred.predictor(UNICYCLE, "rk4", 21), None, 0.02, D_hat=0.6, actuator="history")
 
 
 @pytest.mark.parametrize(("precision", "kind", "limit"), [("float", np.float32, 1e-5), ("double", np.float64, 2e-9)])

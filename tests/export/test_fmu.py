@@ -33,26 +33,28 @@ VERSIONS = (3, 2)
 
 
 def heun(plant=PLANT, **options):
-    return npred.controller(plant, npred.predictor("heun", plant, 21), PAPER, DT, D_hat=2.0, **options)
+    return npred.controller(
+        plant, npred.predictor(plant, "heun", 21), PAPER, DT, D_hat=2.0, **({"actuator": "measured"} | options)
+    )
 
 
 def network():
     fused = Fused(PLANT, operator(SMALL[0]).double(), 21, precision=np.float64)
-    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def doubting():
-    guarded = npred.guarded(npred.predictor("euler", PLANT, 21), 1.25e-5)
-    return npred.controller(PLANT, guarded, PAPER, DT, D_hat=2.0)
+    guarded = npred.guarded(npred.predictor(PLANT, "euler", 21), 1.25e-5)
+    return npred.controller(PLANT, guarded, PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def observing():
     observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, 21), observer, DT, D_hat=1.5, actuator="history")
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), observer, DT, D_hat=1.5, actuator="history")
 
 
 def turning():
-    return npred.controller(UNICYCLE, npred.predictor("rk4", UNICYCLE, 21), None, DT, D_hat=0.6, actuator="history")
+    return npred.controller(UNICYCLE, npred.predictor(UNICYCLE, "rk4", 21), None, DT, D_hat=0.6, actuator="history")
 
 
 def estimating():
@@ -60,7 +62,7 @@ def estimating():
     observer = npred.observers.EKF(PLANT, offset=True, outputs=PLANT.states[:1])
     law, watchdog = npred.DelayObserver(bounds=(0.05, 0.4), candidates=15), npred.Watchdog(5.5 * DT, "zero")
     named = {"observer": observer, "watchdog": watchdog, "actuator": "history"}
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, 21), law, DT, D_hat=0.2, **named)
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), law, DT, D_hat=0.2, **named)
 
 
 class Limited(ActivatorRepressor):
@@ -74,7 +76,7 @@ def protecting():
     plant, safety = Plant("limited", Limited), npred.SafetyFilter(2.0, delay=0.02, horizon=0.3)
     return npred.controller(
         plant,
-        npred.predictor("heun", plant, 21),
+        npred.predictor(plant, "heun", 21),
         None,
         DT,
         D_hat=0.2,
@@ -329,7 +331,9 @@ def test_parameters_are_those_of_another_controller(instance, version):
     name, value = next(iter(PLANT.parameters.items()))
     other = npred.plant("activator_repressor", **{name: 1.1 * value})
     law = npred.DelayAdaptation(300.0, bounds=(0.1, 4.0))
-    expected = npred.controller(other, Guarded(npred.predictor("euler", other, 21), 1e-5), law, DT, D_hat=0.7)
+    expected = npred.controller(
+        other, Guarded(npred.predictor(other, "euler", 21), 1e-5), law, DT, D_hat=0.7, actuator="measured"
+    )
     parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat_start": 0.7}
     run = instance(doubting, version, **parameters)
     for x in states(50):

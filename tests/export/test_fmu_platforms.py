@@ -38,12 +38,12 @@ FORMATS = {  # by the place in the archive: where the magic and the machine stan
 
 
 def heun() -> Controller:
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, NX), PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", NX), PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def guarded_network() -> Controller:
     fused = Fused(PLANT, operator(SMALL[0]).double(), NX, precision=np.float64)
-    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0)
+    return npred.controller(PLANT, npred.guarded(fused, 0.01), PAPER, DT, D_hat=2.0, actuator="measured")
 
 
 def form(library: bytes) -> tuple[str, int]:

@@ -99,7 +99,7 @@ def test_a_controller_and_a_guard_call_the_compiled_function():
     u = np.zeros((21, 1))
     for wrap in (lambda predictor: predictor, npred.guarded):
         controllers = [
-            npred.controller(PLANT, wrap(predictor), None, dt=0.01, D_hat=1.0)
+            npred.controller(PLANT, wrap(predictor), None, dt=0.01, D_hat=1.0, actuator="measured")
             for predictor in (run, Fused(PLANT, model, 21, precision=np.float64))
         ]
         assert controllers[0].step([0.03, 30.0], u) == controllers[1].step([0.03, 30.0], u)

@@ -54,7 +54,7 @@ def test_multiply_adds_and_vectors_pass_too(tmp_path):
 def test_a_law_of_another_gain_fails(tmp_path, name):
     """A controller at rest would give 0 with any gain."""
     plant = npred.plant(name)
-    controller = npred.controller(plant, npred.predictor("heun", plant, 21), None, 0.01, D_hat=0.3, actuator="history")
+    controller = npred.controller(plant, npred.predictor(plant, "heun", 21), None, 0.01, D_hat=0.3, actuator="history")
     clipped = "clip(d, s->input_bounds, z->U);\n    if (q->update)"
     written(tmp_path, controller, "double", (clipped, f"z->U[0] *= 1.000001;\n    {clipped}"))
     assert own_test(tmp_path).returncode in (1, 2)

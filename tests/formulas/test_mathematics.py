@@ -225,7 +225,7 @@ class Everything:
 
 def exported(precision, folder):
     plant = npred.plant(Everything)
-    controller = npred.controller(plant, npred.predictor("rk4", plant, 11), None, 0.01, D_hat=0.2)
+    controller = npred.controller(plant, npred.predictor(plant, "rk4", 11), None, 0.01, D_hat=0.2, actuator="measured")
     return controller, InC(library(controller, folder, precision), plant, precision)
 
 

@@ -49,7 +49,7 @@ def test_the_identified_controller_stabilises_the_true_plant(name: str):
     assert found.identifiable.all() and abs(found.D[0] - D) < period
     controlled = made(name, **found.parameters)
     loop = npred.simulate(
-        controlled, npred.predictor("rk4", controlled, nx=41), D=D, D_hat=float(found.D[0]), X0=start, t_end=t_end,
+        controlled, npred.predictor(controlled, "rk4", nx=41), D=D, D_hat=float(found.D[0]), X0=start, t_end=t_end,
         dt=period / 10, u0="equilibrium", truth=real,
     )  # fmt: skip
     gap = np.linalg.norm((loop.X - real.equilibrium) / (1 + np.abs(real.equilibrium)), axis=-1)

@@ -156,7 +156,7 @@ SHIPPED = ["van_der_pol", "cart_pole", "unicycle", "pvtol", "chemostat", "planar
 def test_lanes_side_by_side_are_those_one_by_one(lanes):
     plant, rng = npred.plant("planar_arm6"), np.random.default_rng(0)
     assert called_functions.called(plant)
-    predictor = npred.predictor("rk4", plant, nx=11)
+    predictor = npred.predictor(plant, "rk4", nx=11)
     X, u = rng.uniform(-0.5, 0.5, (lanes, plant.n)), rng.uniform(-1, 1, (lanes, 11, plant.m))
     D_hat = rng.uniform(0.05, 0.2, lanes)
     one_by_one = np.stack([predictor(X[k], u[k], float(D_hat[k])) for k in range(lanes)])
@@ -203,8 +203,8 @@ import npred
 for name, options in {
     "scalar": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayAdaptation(bounds=(0.1, 1.0))},
     "van_der_pol": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)), "actuator": "history",
-                    "measurement": npred.Measurement(noise=0.01, absolute=[0.1, 0.0], bias=0.1, resolution=[0.0, 0.01],
-                                                     period=0.1, jitter=0.5, delay=0.04, drop=0.1)},
+                    "measurement": npred.Measurement(noise=[0.1, 0.0], relative_noise=0.01, bias=0.1, period=0.1,
+                                                     resolution=[0.0, 0.01], jitter=0.5, delay=0.04, drop=0.1)},
     "unicycle": {"D": 0.5, "D_hat": 0.4, "actuator": "history"},
     "slow_unicycle": {"D": lambda t: 0.5 + 0.1 * np.sin(9 * t), "D_hat": 0.5, "actuator": "history", "u0": "law",
                       "timing": npred.Timing(jitter=0.4, lost=0.2, overrun=0.2, tells=True),
@@ -216,7 +216,7 @@ for name, options in {
 }.items():
     plant = npred.plant(name)
     low, high = np.array([plant.box.get(state, (-0.1, 0.1)) for state in plant.states]).T
-    model = npred.guarded(npred.predictor("heun", plant, nx=21), 0.01)
+    model = npred.guarded(npred.predictor(plant, "heun", nx=21), 0.01)
     X0 = low + (high - low) * np.linspace(0.4, 0.6, 3)[:, None]
     loop = npred.simulate(plant, model, X0=X0, t_end=2.0, dt=0.02, **options)
     assert loop.X.shape[0] == 3, name

@@ -70,6 +70,16 @@ def test_the_regulator_is_scipys_with_brysons_weights(pendulum):
     np.testing.assert_allclose(law.kappa_jacobian(np.zeros(2)), -2 * B.T @ S, rtol=1e-7)
 
 
+def test_one_number_is_the_weight_of_all(pendulum):
+    plant = npred.plant(pendulum)
+    one, all_ = (plant.controlled(laws.lqr(plant, Q=Q, R=R)) for Q, R in ((3, 0.5), ([3.0, 3.0], [[0.5]])))
+    assert np.array_equal(one.kappa_jacobian(np.zeros(2)), all_.kappa_jacobian(np.zeros(2)))
+    by_table = npred.plant(pendulum, kappa={"law": "lqr", "Q": 3, "R": 0.5})
+    assert np.array_equal(by_table.kappa_jacobian(np.zeros(2)), all_.kappa_jacobian(np.zeros(2)))
+    with pytest.raises(ConfigError, match=r"Q \(2, 2\) symmetric .*, got -1"):
+        laws.lqr(plant, Q=-1)
+
+
 @pytest.mark.parametrize("poles", [[-1, -2], [-2, -2], [-1 + 2j, -1 - 2j]])
 def test_poles_are_placed_where_scipy_places_them(pendulum, poles):
     plant = npred.plant(pendulum)

@@ -244,8 +244,8 @@ def test_a_plant_without_V_is_refused_and_told_of_the_laws_that_take_none():
     words = r"plant bare: found no V\(x, t, p, M\), which the update law takes; .* DelayObserver or L1Adaptation"
     settings = {"D": 1.0, "D_hat": 1.2, "X0": [1.0], "t_end": 0.1, "dt": 0.05}
     with pytest.raises(ConfigError, match=words):
-        npred.simulate(bare, npred.predictor("heun", bare, 11), adaptation=DelayAdaptation(gamma=1.0), **settings)
-    npred.simulate(bare, npred.predictor("heun", bare, 11), adaptation=npred.L1Adaptation(), **settings)
+        npred.simulate(bare, npred.predictor(bare, "heun", 11), adaptation=DelayAdaptation(gamma=1.0), **settings)
+    npred.simulate(bare, npred.predictor(bare, "heun", 11), adaptation=npred.L1Adaptation(), **settings)
 
 
 CHEMOSTAT = npred.plant("chemostat")
@@ -277,7 +277,7 @@ def test_phi_is_the_formulas(name):
 
 def chemostat(D, D_hat):
     return npred.simulate(
-        CHEMOSTAT, npred.predictor("rk4", CHEMOSTAT, nx=101), D=D, D_hat=D_hat, X0=[2.0, 2.0], t_end=60.0, u0="law",
+        CHEMOSTAT, npred.predictor(CHEMOSTAT, "rk4", nx=101), D=D, D_hat=D_hat, X0=[2.0, 2.0], t_end=60.0, u0="law",
         adaptation=npred.L1Adaptation(gamma=1.0, bounds=(0.8, 2.0)), actuator="history",
     )  # fmt: skip
 

@@ -199,7 +199,7 @@ def test_a_disturbance_and_a_history_before_the_start_are_the_plain_loops():
 
 def test_a_loop_does_not_depend_on_its_batch():
     X0 = np.random.default_rng(0).uniform(-0.5, 0.5, (5, 2))
-    sensors = {"noise": 0.05, "absolute": 0.01, "resolution": [0.01, 0.0], "delay": 0.03, "drop": 0.1, "seed": 2}
+    sensors = {"relative_noise": 0.05, "noise": 0.01, "resolution": [0.01, 0.0], "delay": 0.03, "drop": 0.1, "seed": 2}
     run = simulated(SWING, X0, timing=UNSTEADY, measurement=npred.Measurement(**sensors))
     for l in range(5):
         alone = simulated(SWING, X0[l], timing=UNSTEADY, measurement=npred.Measurement(**sensors, first=l))

@@ -42,7 +42,7 @@ def loop(run, adaptation=LAW, bounds=None):
 def test_steps_equal_those_of_the_simulated_loop(runtime):
     run = RK4(PLANT, 21) if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
     wanted = loop(run)
-    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, actuator="measured")
     for k in range(200):
         np.testing.assert_allclose(controller.D_hat, wanted.D_hat[k], rtol=1e-12)
         u_nodes = at_nodes(wanted.U, k, 21, 100)
@@ -55,7 +55,7 @@ def test_steps_equal_those_of_the_simulated_loop(runtime):
 def test_without_adaptation_and_with_bounds():
     run, bounds = RK4(PLANT, 21), [(-0.001, 0.002)]
     wanted = loop(run, None, bounds)
-    controller = npred.controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds)
+    controller = npred.controller(PLANT, run, None, 0.01, D_hat=2.0, input_bounds=bounds, actuator="measured")
     for k in range(200):
         np.testing.assert_array_equal(controller.step(wanted.samples.X[k], wanted.samples.u[k]), wanted.U[k])
     assert controller.D_hat == 2.0
@@ -63,7 +63,7 @@ def test_without_adaptation_and_with_bounds():
 
 def test_goes_on_from_a_saved_state():
     run, first, second = RK4(PLANT, 21), None, None
-    first, second = (npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0) for _ in range(2))
+    first, second = (npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, actuator="measured") for _ in range(2))
     u = 0.01 * np.ones((21, 1))
     for _ in range(5):
         first.step(X0, u)
@@ -74,8 +74,17 @@ def test_goes_on_from_a_saved_state():
     assert first.state() == second.state()
 
 
+def test_what_hardware_does_not_measure_is_not_asked_for_by_default():
+    default, told = (npred.controller(PLANT, RK4(PLANT, 21), None, 0.01, D_hat=1.0, **more) for more in
+                     ({}, {"actuator": "history"}))  # fmt: skip
+    assert default.actuator == "history" and np.array_equal(default.step([0.5, 20.0]), told.step([0.5, 20.0]))
+    assert npred.Loop(plant=PLANT, predictor=None).actuator == "measured"  # of a simulation: the article's
+
+
 def test_keeps_no_memory_in_the_steady_state():
-    controller = npred.controller(PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(
+        PLANT, predictor("fused", PLANT, operator(SMALL[0]), 21), LAW, 0.01, D_hat=2.0, actuator="measured"
+    )
     X, u = np.array(X0), np.zeros((21, 1))
     for _ in range(10):
         controller.step(X, u)
@@ -89,11 +98,11 @@ def test_keeps_no_memory_in_the_steady_state():
 
 
 def test_starts_in_the_middle_of_the_bounds():
-    assert npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01).D_hat == 2.05
+    assert npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="measured").D_hat == 2.05
 
 
 def test_a_bad_measurement_leaves_it_as_it_was():
-    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0, actuator="measured")
     u = np.zeros((21, 1))
     controller.step(X0, u)
     before, P = controller.state(), controller.P
@@ -110,7 +119,7 @@ def test_a_bad_measurement_leaves_it_as_it_was():
 def test_a_prediction_that_diverges_leaves_it_as_it_was():
     """x' = x³ + u from 3 escapes within the horizon: no NaN goes to the actuator, nor stays inside."""
     run, law = RK4(CUBE, 51), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0))
-    controller, u = npred.controller(CUBE, run, law, 0.01, D_hat=1.0), np.zeros((51, 1))
+    controller, u = npred.controller(CUBE, run, law, 0.01, D_hat=1.0, actuator="measured"), np.zeros((51, 1))
     U = controller.step([0.3], u)
     before, kept, P = controller.state(), U.copy(), controller.P
     for X in ([3.0], [1e308]):
@@ -138,7 +147,7 @@ def test_a_prediction_that_diverges_leaves_it_as_it_was():
     ],
 )
 def test_a_measurement_of_another_shape_is_told(X, u, message):
-    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0, actuator="measured")
     with pytest.raises(ConfigError, match=message):
         controller.step(X, u)
 
@@ -162,7 +171,7 @@ def test_mistakes_are_told(changes, message):
 
 
 def test_a_state_that_is_none_is_told():
-    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01)
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="measured")
     before = controller.state()
     for state in ({"D_hat": 1.0}, {"D_hat": 1.0, "step": 2.5}, {"D_hat": 1.0, "step": np.inf}, None):
         with pytest.raises(ConfigError, match="expected D_hat and step"):
@@ -196,14 +205,16 @@ class Hot:
 @pytest.mark.filterwarnings("error")
 def test_a_prediction_in_python_that_diverges_is_an_error_and_no_warning():
     plant = BlackBox("hot", Hot)
-    controller = npred.controller(plant, RK4(plant, 11), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0)), 0.01)
+    controller = npred.controller(
+        plant, RK4(plant, 11), npred.DelayAdaptation(1.0, 1.0, (0.1, 2.0)), 0.01, actuator="measured"
+    )
     with pytest.raises(DivergedError, match="is not finite"):
         controller.step([900.0], np.zeros((11, 1)))
 
 
 def test_the_prediction_of_the_last_step_can_be_read():
     run, u = RK4(PLANT, 21), 0.01 * np.ones((21, 1))
-    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, actuator="measured")
     assert controller.P.shape == (21, 2) and np.isnan(controller.P).all()
     U, expected = controller.step(X0, u), np.zeros((21, 2, 1))
     run.lanes().exactly(np.array(X0, dtype=float)[:, None], u[:, :, None], np.full(1, 2.0), 0.0, PLANT.p, expected)
@@ -215,7 +226,7 @@ def test_the_prediction_of_the_last_step_can_be_read():
 
 
 def test_estimate_and_time_can_be_set():
-    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0, actuator="measured")
     controller.D_hat = 1.25
     assert controller.D_hat == 1.25 and controller.t == 0.0
     with pytest.raises(ConfigError, match=r"D_hat: expected within the bounds \[0.1, 4\] s, got 5"):
@@ -235,13 +246,15 @@ def test_estimate_and_time_can_be_set():
 def test_a_time_that_is_set_is_the_laws():
     """A law of time at t = 0.5, set and reached by steps, gives one U; so does a controller restored there."""
     run, u, X = RK4(ARM, 11), np.zeros((11, ARM.m)), np.full(ARM.n, 0.1)
-    walked, placed, restored = (npred.controller(ARM, run, None, 0.125, D_hat=0.2) for _ in range(3))
+    walked, placed, restored = (
+        npred.controller(ARM, run, None, 0.125, D_hat=0.2, actuator="measured") for _ in range(3)
+    )
     for _ in range(4):
         walked.step(X, u)
     placed.t = 0.5
     restored.restore({"D_hat": 0.2, "step": 4})
     reached = walked.step(X, u).copy()
-    assert reached != pytest.approx(npred.controller(ARM, run, None, 0.125, D_hat=0.2).step(X, u))
+    assert reached != pytest.approx(npred.controller(ARM, run, None, 0.125, D_hat=0.2, actuator="measured").step(X, u))
     np.testing.assert_array_equal(placed.step(X, u), reached)
     np.testing.assert_array_equal(restored.step(X, u), reached)
 
@@ -250,7 +263,7 @@ def test_a_time_that_is_set_is_the_laws():
 def test_a_pickled_controller_goes_on_where_it_stood(runtime):
     run, u = RK4(PLANT, 21), 0.01 * np.ones((21, 1))
     run = run if runtime == "numerical" else predictor(runtime, PLANT, operator(SMALL[0]), 21)
-    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, input_bounds=(-0.01, 0.01))
+    controller = npred.controller(PLANT, run, LAW, 0.01, D_hat=2.0, input_bounds=(-0.01, 0.01), actuator="measured")
     controller.t = 3.0
     controller.step(X0, u)
     copy = pickle.loads(pickle.dumps(controller))
@@ -261,7 +274,7 @@ def test_a_pickled_controller_goes_on_where_it_stood(runtime):
 
 
 def test_says_what_it_is():
-    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0)
+    controller = npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, D_hat=2.0, actuator="measured")
     assert repr(controller) == (
         "<Controller of plant activator_repressor with <RK4 'rk4' of plant activator_repressor, nx = 21>, "
         "dt = 0.01 s, t = 0 s, D_hat = 2 s by DelayAdaptation>"
@@ -274,7 +287,7 @@ LAWS = (None, LAW, npred.DelayObserver(bounds=(0.1, 4.0)), npred.L1Adaptation(0.
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(law):
     """The steps of npred.simulate, pickled once and restored from JSON once on the way."""
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     loop = npred.simulate(PLANT, run, D=1.2, D_hat=1.4, X0=X0, t_end=8.0, dt=0.01, adaptation=law, actuator="history")
     alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
     for k in range(800):
@@ -291,7 +304,7 @@ def test_with_its_own_commands_it_needs_x_alone_and_goes_on_from_a_saved_state(l
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
 def test_in_a_loop_of_another_plant_it_is_what_knows_the_model_alone(law):
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     start = {"D": 1.2, "D_hat": 1.4, "X0": X0, "t_end": 3.0, "dt": 0.01, "adaptation": law, "actuator": "history"}
     loop = npred.simulate(PLANT, run, truth=npred.plant(PLANT.name, K1=1.05 * PLANT.parameters["K1"]), **start)
     alone = npred.controller(PLANT, run, law, 0.01, D_hat=1.4, actuator="history")
@@ -300,7 +313,7 @@ def test_in_a_loop_of_another_plant_it_is_what_knows_the_model_alone(law):
 
 
 def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
-    run, law = npred.predictor("rk4", PLANT, nx=21), LAWS[2]
+    run, law = npred.predictor(PLANT, "rk4", nx=21), LAWS[2]
     straight = npred.controller(PLANT, run, law, 0.01, actuator="history")
     states = np.random.default_rng(0).uniform([0.05, 4.0], [0.1, 6.0], (900, 2))
     for X in states[:500]:
@@ -312,7 +325,7 @@ def test_a_resumed_controller_takes_the_same_steps_to_the_bit():
 
 
 def test_a_step_that_fails_books_the_command_that_is_held_and_leaves_the_observers():
-    run = npred.predictor("rk4", CUBE, nx=21)
+    run = npred.predictor(CUBE, "rk4", nx=21)
     alone = npred.controller(CUBE, run, npred.DelayObserver(bounds=(0.1, 1.0)), 0.01, actuator="history")
     for _ in range(5):
         U = alone.step([0.1])
@@ -345,15 +358,17 @@ def test_what_the_actuator_got_instead_is_booked():
         with pytest.raises(ConfigError, match="applied: expected 1 finite numbers, one per input"):
             told.step([0.3], applied=wrong)
     with pytest.raises(ConfigError, match="applied: expected a controller that keeps its commands"):
-        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01).step(X0, np.zeros((21, 1)), applied=[0.0])
+        npred.controller(PLANT, RK4(PLANT, 21), LAW, 0.01, actuator="measured").step(
+            X0, np.zeros((21, 1)), applied=[0.0]
+        )
 
 
 def test_it_is_given_what_is_measured_and_nothing_else():
-    run = npred.predictor("rk4", PLANT, nx=21)
+    run = npred.predictor(PLANT, "rk4", nx=21)
     with pytest.raises(ConfigError, match="expected X alone, for the actuator is 'history', got u too; give"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="history").step(X0, np.zeros((21, 1)))
     with pytest.raises(ConfigError, match="expected X and u, for the actuator is 'measured', got X alone"):
-        npred.controller(PLANT, run, LAW, 0.01).step(X0)
+        npred.controller(PLANT, run, LAW, 0.01, actuator="measured").step(X0)
     with pytest.raises(ConfigError, match="actuator: expected one of measured, history"):
         npred.controller(PLANT, run, LAW, 0.01, actuator="other")
     with pytest.raises(ConfigError, match="expected the commands of such a controller, got others"):

@@ -204,14 +204,14 @@ def test_times_that_cannot_be_are_refused_in_one_line():
         controller.step(None, t=0.5)
     with pytest.raises(ConfigError, match=r"sampled_at: expected a time up to that of the call, 1\.01, got 1\.5"):
         controller.step([0.5, 0.0], t=1.01, sampled_at=1.5)
-    measured = npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2)
+    measured = npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2, actuator="measured")
     with pytest.raises(ConfigError, match='t: expected actuator="history"'):
         measured.step([0.5, 0.0], np.zeros((41, 1)), t=1.0)
     with pytest.raises(ConfigError, match=r"observer: expected one of npred\.observers, got 'ekf'"):
         motor(observer="ekf")
     for name, value in {"max_sample_age": 0.1, "watchdog": npred.Watchdog(0.1)}.items():
         with pytest.raises(ConfigError, match=f'{name}: expected actuator="history"'):
-            npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2, **{name: value})
+            npred.controller(MOTOR, RK4(MOTOR, 41), None, DT, D_hat=0.2, actuator="measured", **{name: value})
 
 
 @pytest.mark.parametrize("then", ["hold", "zero", 3.0, lambda x, t, p, M: [-x.speed]])

@@ -49,6 +49,25 @@ def loops(law, **changes):
     return npred.simulate(PLANT, RK4(PLANT, 51), adaptation=law, **LOOP | changes)
 
 
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("bresch-pietri-krstic", npred.DelayAdaptation()), ("l1", npred.L1Adaptation()),
+        ("delay-observer", npred.DelayObserver()), ("frozen", None),
+    ],
+)  # fmt: skip
+def test_a_law_has_a_name_in_python_too(name, law):
+    np.testing.assert_array_equal(loops(name).D_hat, loops(law).D_hat)
+    bounded = {"D_hat": 0.7, "actuator": "history"}
+    named, made = (npred.controller(PLANT, RK4(PLANT, 11), each, 0.01, **bounded) for each in (name, law))
+    assert named.adaptation == made.adaptation
+
+
+def test_an_unknown_name_of_a_law_is_told():
+    with pytest.raises(ConfigError, match=r"adaptation: expected .*frozen, or a class .*did you mean delay-observer"):
+        loops("delay-observr")
+
+
 def test_the_estimate_follows_the_rate():
     """D_hat' = gamma (1 - D_hat) in closed form: the error falls with the square of dt."""
     errors = []
@@ -90,7 +109,7 @@ def test_a_law_may_replace_phi():
 def test_the_controller_takes_the_same_steps():
     law = Leaky(gamma=2.0)
     loop = loops(law, D_hat=1.6, X0=[1.0], samples=np.arange(300))
-    controller = npred.controller(PLANT, RK4(PLANT, 51), law, 0.01, D_hat=1.6)
+    controller = npred.controller(PLANT, RK4(PLANT, 51), law, 0.01, D_hat=1.6, actuator="measured")
     for k in range(300):
         np.testing.assert_allclose(controller.D_hat, loop.D_hat[k], rtol=1e-12)
         U = controller.step(loop.samples.X[k], loop.samples.u[k], at_nodes(loop.U, k, 51, 100))

@@ -15,7 +15,7 @@ from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
 FEW = 20.0  # samples that the window has at least
-RK4 = npred.predictor("rk4", PLANT, nx=51)
+RK4 = npred.predictor(PLANT, "rk4", nx=51)
 LAW = npred.DelayObserver(bounds=(0.1, 4.0))
 DELAYS, STARTS = np.meshgrid([0.83, 1.0, 1.234, 1.37, 1.5], [0.3, 0.5, 1.0, 1.5, 2.0, 3.5], indexing="ij")
 
@@ -53,10 +53,10 @@ WRONG = npred.plant("activator_repressor", **{name: 1.03 * PLANT.parameters[name
 @pytest.mark.parametrize(
     ("reality", "largest"),
     [
-        ({"measurement": Measurement(noise=0.03)}, 0.02),
+        ({"measurement": Measurement(relative_noise=0.03)}, 0.02),
         ({"truth": WRONG}, 0.02),
         ({"disturbance": lambda t: [0.002 * np.sin(0.7 * t)]}, 0.05),
-        ({"measurement": Measurement(period=0.1, jitter=0.3, noise=0.01)}, 0.05),
+        ({"measurement": Measurement(period=0.1, jitter=0.3, relative_noise=0.01)}, 0.05),
     ],
     ids=["noise", "model", "disturbance", "sampled"],
 )
@@ -76,7 +76,7 @@ def test_a_jump_is_found_where_the_commands_never_rest():
     arm = npred.plant("planar_arm2")
     law = npred.DelayObserver(bounds=(0.1, 1.0))
     run = npred.simulate(
-        arm, npred.predictor("rk4", arm, nx=51), D=lambda t: 0.3 if t < 15 else 0.5, D_hat=[0.6, 0.2],
+        arm, npred.predictor(arm, "rk4", nx=51), D=lambda t: 0.3 if t < 15 else 0.5, D_hat=[0.6, 0.2],
         X0=arm.target(0.0) + 0.1, t_end=30.0, dt=0.01, adaptation=law, actuator="history", u0=[0.0, 0.0],
     )  # fmt: skip
     before, after = run.D_hat[:, 1400], run.D_hat[:, 2200:]
@@ -86,8 +86,8 @@ def test_a_jump_is_found_where_the_commands_never_rest():
 @pytest.mark.parametrize(
     "reality",
     [
-        {"measurement": Measurement(noise=0.01)},
-        {"measurement": Measurement(noise=0.01, period=0.05)},
+        {"measurement": Measurement(relative_noise=0.01)},
+        {"measurement": Measurement(relative_noise=0.01, period=0.05)},
         {"disturbance": lambda t: [0.05 * np.sin(0.7 * t)]},
     ],
     ids=["noise", "sampled", "disturbance"],
@@ -95,7 +95,7 @@ def test_a_jump_is_found_where_the_commands_never_rest():
 def test_such_a_jump_is_found_in_seconds_in_a_real_loop_too(reality):
     plant = follower()
     run = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=21), D=lambda t: 0.5 if t < 30 else 0.8, D_hat=[0.2, 1.0], X0=[0.1],
+        plant, npred.predictor(plant, "rk4", nx=21), D=lambda t: 0.5 if t < 30 else 0.8, D_hat=[0.2, 1.0], X0=[0.1],
         t_end=36.0, dt=0.01, adaptation=npred.DelayObserver(bounds=(0.05, 2.0)), actuator="history", **reality,
     )  # fmt: skip
     assert np.abs(run.D_hat[:, 1000:3000] - 0.5).max() < 0.025 and np.abs(run.D_hat[:, 3500:] - 0.8).max() < 0.05
@@ -113,7 +113,7 @@ def test_other_plants_too(name, bounds, D, D_hat, X0, largest):
     plant = npred.plant(name)
     D, D_hat = np.meshgrid(D, D_hat)
     run = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=51), D=D, D_hat=D_hat, X0=X0, t_end=60.0, dt=0.01,
+        plant, npred.predictor(plant, "rk4", nx=51), D=D, D_hat=D_hat, X0=X0, t_end=60.0, dt=0.01,
         adaptation=npred.DelayObserver(bounds=bounds), actuator="history",
     )  # fmt: skip
     assert np.abs(run.X[..., -500:, :] - plant.equilibrium).max() < 1e-6
@@ -143,14 +143,16 @@ class CalledFollower:
     reference = lambda t, p: (p.A * np.sin(p.w * t))[:, None]
 
 
-SPARSE = Measurement(noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2)  # each loop has samples of its own
+SPARSE = Measurement(
+    relative_noise=0.01, period=0.2, jitter=0.5, delay=0.05, drop=0.2
+)  # each loop has samples of its own
 
 
-@pytest.mark.parametrize("measurement", [None, Measurement(noise=0.01, period=0.05, delay=0.02), SPARSE])
+@pytest.mark.parametrize("measurement", [None, Measurement(relative_noise=0.01, period=0.05, delay=0.02), SPARSE])
 def test_a_plant_that_is_called_has_the_estimate_of_its_traced_twin(measurement):
     runs = [
         npred.simulate(
-            plant, npred.predictor("heun", plant, nx=5), D=0.5, D_hat=[0.2, 0.9], X0=[0.1], t_end=3.0, dt=0.01,
+            plant, npred.predictor(plant, "heun", nx=5), D=0.5, D_hat=[0.2, 0.9], X0=[0.1], t_end=3.0, dt=0.01,
             adaptation=npred.DelayObserver(bounds=(0.05, 1.0), candidates=20), actuator="history",
             measurement=measurement,
         )
@@ -167,18 +169,18 @@ SCALAR = npred.plant("scalar")
 def sampled(measurement, D=1.33, D_hat=0.892, X0=(1.0,), **changes):
     """Loops of the scalar plant, whose estimate used to lock onto the sampling period."""
     settings = {"t_end": 30.0, "dt": 0.01, "adaptation": npred.DelayObserver(bounds=(0.1, 2.0)), "actuator": "history"}
-    rk4 = npred.predictor("rk4", SCALAR, nx=21)
+    rk4 = npred.predictor(SCALAR, "rk4", nx=21)
     return npred.simulate(SCALAR, rk4, D=D, D_hat=D_hat, X0=X0, measurement=measurement, **settings | changes)
 
 
 @pytest.mark.parametrize(
     "measurement",
     [
-        Measurement(noise=0.005, period=0.2),
-        Measurement(noise=0.005, period=0.25),
-        Measurement(noise=0.005, period=0.3),
-        Measurement(noise=0.005, period=0.3, delay=0.17),
-        Measurement(noise=0.005, period=0.2, delay=0.3),
+        Measurement(relative_noise=0.005, period=0.2),
+        Measurement(relative_noise=0.005, period=0.25),
+        Measurement(relative_noise=0.005, period=0.3),
+        Measurement(relative_noise=0.005, period=0.3, delay=0.17),
+        Measurement(relative_noise=0.005, period=0.2, delay=0.3),
     ],
 )
 def test_the_estimate_does_not_lock_onto_the_sampling_period(measurement):
@@ -189,7 +191,7 @@ def test_the_estimate_does_not_lock_onto_the_sampling_period(measurement):
 
 def test_noise_in_few_samples_looks_like_no_jump():
     """Two samples a second: a window of one second would hold two, and their errors differ by more than RISES."""
-    run = loops(D_hat=STARTS, measurement=Measurement(noise=0.02, period=0.5, seed=3), t_end=40.0)
+    run = loops(D_hat=STARTS, measurement=Measurement(relative_noise=0.02, period=0.5, seed=3), t_end=40.0)
     assert np.abs(run.X[..., -500:, :] - PLANT.equilibrium).max() < 1.1
     assert error(run) < 0.5
 
@@ -222,7 +224,7 @@ def test_a_loop_that_is_lost_stops_no_other_estimate():
 
     def estimates(X0):
         return npred.simulate(
-            plant, npred.predictor("rk4", plant, nx=11), D=0.4, D_hat=0.2, X0=X0, t_end=3.0, dt=0.01,
+            plant, npred.predictor(plant, "rk4", nx=11), D=0.4, D_hat=0.2, X0=X0, t_end=3.0, dt=0.01,
             adaptation=npred.DelayObserver(bounds=(0.1, 1.0)), actuator="history",
         ).D_hat  # fmt: skip
 
@@ -278,7 +280,7 @@ def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():
     plant, dt, late = Plant("waved", Waved), 0.05, 8
     law = npred.DelayObserver(bounds=(0.1, 1.0))
     at = np.rint(law.thetas(dt) / dt).tolist().index(late)
-    controller = npred.controller(plant, npred.predictor("rk4", plant, 11), law, dt, D_hat=0.7, actuator="history")
+    controller = npred.controller(plant, npred.predictor(plant, "rk4", 11), law, dt, D_hat=0.7, actuator="history")
     X, sent = 0.2, [0.0] * late
     for k in range(100):
         sent.append(controller.step([X])[0])
@@ -292,7 +294,7 @@ def test_samples_that_come_late_are_compared_at_the_time_when_they_were_taken():
     """A wave of nine radians a second, 0.3 s late."""
     plant = Plant("waved", Waved)
     run = npred.simulate(
-        plant, npred.predictor("rk4", plant, nx=11), D=0.4, D_hat=[0.2, 0.8], X0=[0.2], t_end=10.0, dt=0.01,
+        plant, npred.predictor(plant, "rk4", nx=11), D=0.4, D_hat=[0.2, 0.8], X0=[0.2], t_end=10.0, dt=0.01,
         adaptation=npred.DelayObserver(bounds=(0.1, 1.0)), actuator="history", measurement=Measurement(delay=0.3),
     )  # fmt: skip
     assert np.abs(run.D_hat[:, 300:] - 0.4).max() < 0.02
@@ -304,7 +306,7 @@ def test_a_loop_at_rest_keeps_its_estimate():
     plant, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.05, 1.0))
     run = npred.simulate(
         plant,
-        npred.predictor("rk4", plant, nx=11),
+        npred.predictor(plant, "rk4", nx=11),
         adaptation=law,
         disturbance=lambda t: [float(2 < t < 2.5)],
         **settings,

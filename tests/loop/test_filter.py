@@ -247,7 +247,7 @@ def test_plants_and_controllers_that_it_does_not_serve_are_refused():
     with pytest.raises(ConfigError, match=r"expected a plant with safe\(x, t, p, M\)"):
         loops(plant, [0, 0], npred.SafetyFilter(), 0.3, 1.0)
     with pytest.raises(ConfigError, match='safety: expected actuator="history"'):
-        npred.controller(CART, RK4(CART, 31), None, 0.01, D_hat=0.3, safety=npred.SafetyFilter())
+        npred.controller(CART, RK4(CART, 31), None, 0.01, D_hat=0.3, safety=npred.SafetyFilter(), actuator="measured")
 
 
 @pytest.mark.parametrize(

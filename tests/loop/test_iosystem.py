@@ -14,7 +14,7 @@ LAWS = {"frozen": None, "observer": npred.DelayObserver(bounds=(0.1, 1.0), candi
 
 
 def controller(law=None, actuator="history"):
-    return npred.controller(PLANT, npred.predictor("heun", PLANT, 21), law, DT, D_hat=0.5, actuator=actuator)
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), law, DT, D_hat=0.5, actuator=actuator)
 
 
 def late_plant():
@@ -48,7 +48,7 @@ def test_the_loop_is_that_of_simulate(name):
     t = np.arange(STEPS) * DT
     response = control.input_output_response(loop, t, np.zeros((loop.ninputs or 1, STEPS)) if loop.ninputs else 0, x0)
     wanted = npred.simulate(
-        PLANT, npred.predictor("heun", PLANT, 21), D=LATE * DT, D_hat=0.5, X0=[1.0], t_end=(STEPS - 1) * DT, dt=DT,
+        PLANT, npred.predictor(PLANT, "heun", 21), D=LATE * DT, D_hat=0.5, X0=[1.0], t_end=(STEPS - 1) * DT, dt=DT,
         adaptation=law, actuator="history",
     )  # fmt: skip
     np.testing.assert_allclose(response.outputs[0], wanted.X[:, 0], rtol=1e-9, atol=1e-12)

@@ -154,7 +154,7 @@ def test_loops_of_a_law_with_nothing_given_converge_from_twice_the_delay(name, D
     plant = Plant("Tank", Tank) if name == "Tank" else npred.plant(name)
     X0 = [float(np.mean(ends) + 0.3 * np.ptp(ends)) for ends in plant.box.values()]
     run = npred.simulate(
-        plant, npred.predictor("rk4", plant, 31), D=D, D_hat=[0.5 * D, 2 * D], X0=X0, t_end=60.0, dt=D / 50,
+        plant, npred.predictor(plant, "rk4", 31), D=D, D_hat=[0.5 * D, 2 * D], X0=X0, t_end=60.0, dt=D / 50,
         adaptation=npred.DelayAdaptation(), every=10,
     )  # fmt: skip
     assert metrics.converged(metrics.radius(run, plant.equilibrium), plant.equilibrium).all()
@@ -170,11 +170,11 @@ def test_bounds_follow_the_delay_and_hold_what_is_given():
 
 
 def test_a_controller_takes_the_delay_from_its_first_estimate_or_asks():
-    heun = npred.predictor("heun", SCALAR, 21)
-    law = npred.controller(SCALAR, heun, npred.DelayAdaptation(), 0.01, D_hat=0.5).adaptation
+    heun = npred.predictor(SCALAR, "heun", 21)
+    law = npred.controller(SCALAR, heun, npred.DelayAdaptation(), 0.01, D_hat=0.5, actuator="measured").adaptation
     assert law is not None and law.bounds == (0.05, 2.0) and law.gamma == suited_gamma(SCALAR, 0.5)
     with pytest.raises(ConfigError, match=r"D_hat: expected a first estimate, .* got none; give D_hat"):
-        npred.controller(SCALAR, heun, npred.DelayAdaptation(gamma=1.0), 0.01)
+        npred.controller(SCALAR, heun, npred.DelayAdaptation(gamma=1.0), 0.01, actuator="measured")
 
 
 def doubts(name: str, D: float, **evaluate) -> list[str]:

@@ -17,7 +17,7 @@ from npred.loop.measurement import Measurement
 from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
-RK4 = npred.predictor("rk4", PLANT, nx=51)
+RK4 = npred.predictor(PLANT, "rk4", nx=51)
 START = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 20.0, "dt": 0.01}
 
 
@@ -47,7 +47,7 @@ def test_so_does_one_that_knows_the_time_and_a_delay_for_each_input(delays):
     plant = Plant("driven", type("Driven", (Driven,), {"delays": delays}))
     sparse, start = Measurement(delay=0.1, period=0.15, drop=0.5), {"X0": [0.5, -0.3], "t_end": 4.0, "dt": 0.01}
     runs = [
-        npred.simulate(plant, npred.predictor("rk4", plant, nx=21), D=0.537, D_hat=0.537, measurement=seen, **start)
+        npred.simulate(plant, npred.predictor(plant, "rk4", nx=21), D=0.537, D_hat=0.537, measurement=seen, **start)
         for seen in (sparse, None)
     ]
     assert np.abs(runs[0].X - runs[1].X).max() < 1e-12
@@ -57,7 +57,7 @@ def test_between_samples_the_controller_believes_its_model():
     """X' = X / 2 + U without a delay, U = -3 X_hat / 2, of a plant X' = X + U: both in closed form."""
     model, truth = npred.plant("scalar", a=0.5, c=1.0), npred.plant("scalar", a=1.0, c=1.0)
     run = npred.simulate(
-        model, npred.predictor("rk4", model, nx=5), D=0.0, D_hat=0.0, X0=[1.0], t_end=2.0, dt=0.01,
+        model, npred.predictor(model, "rk4", nx=5), D=0.0, D_hat=0.0, X0=[1.0], t_end=2.0, dt=0.01,
         measurement=Measurement(period=0.2), truth=truth,
     )  # fmt: skip
     X = X_hat = 1.0
@@ -85,7 +85,7 @@ def seen(**settings):
 
 
 def test_noise_is_relative_normal_and_independent_in_time_and_state():
-    Y, X = seen(noise=0.02, seed=1)
+    Y, X = seen(relative_noise=0.02, seed=1)
     errors = (Y / X - 1) / 0.02
     assert abs(errors.mean()) < 0.02 and errors.std() == pytest.approx(1, abs=0.02)
     assert np.mean(np.abs(errors) > 1.96) == pytest.approx(0.05, abs=0.005)
@@ -132,10 +132,10 @@ def test_whether_a_sample_is_lost_says_nothing_of_the_gap_behind_it():
 
 
 def test_noise_says_nothing_of_gaps_and_drops():
-    Y, X = seen(noise=0.02, period=0.1, jitter=0.5, drop=0.5, seed=6)
+    Y, X = seen(relative_noise=0.02, period=0.1, jitter=0.5, drop=0.5, seed=6)
     errors = (Y / X - 1)[..., 0] / 0.02
     assert np.nanstd(errors) == pytest.approx(1, abs=0.1)
-    Y, X = seen(noise=0.02, period=0.1, jitter=0.5, seed=6)
+    Y, X = seen(relative_noise=0.02, period=0.1, jitter=0.5, seed=6)
     sizes, gaps = [], []
     for row in (Y / X - 1)[..., 0]:
         arrived = np.flatnonzero(~np.isnan(row))
@@ -145,12 +145,12 @@ def test_noise_says_nothing_of_gaps_and_drops():
 
 def test_the_numbers_depend_on_the_seed_and_the_loop_alone():
     """The batch, its chunks and the order of the loops change nothing."""
-    noisy = Measurement(noise=0.01, period=0.05, jitter=0.3, drop=0.1, seed=7)
+    noisy = Measurement(relative_noise=0.01, period=0.05, jitter=0.3, drop=0.1, seed=7)
     many = loop(noisy, X0=np.tile(START["X0"], (70, 1)), t_end=2.0)
     few = loop(noisy, X0=np.tile(START["X0"], (3, 1)), t_end=2.0)
     assert np.array_equal(many.X[:3], few.X)
     assert not np.array_equal(few.X[0], few.X[1])
-    assert not np.array_equal(loop(Measurement(noise=0.01, seed=8), t_end=2.0).X, loop(noisy, t_end=2.0).X)
+    assert not np.array_equal(loop(Measurement(relative_noise=0.01, seed=8), t_end=2.0).X, loop(noisy, t_end=2.0).X)
 
 
 def test_a_network_or_any_predictor_in_python_sees_the_same_samples():
@@ -158,7 +158,7 @@ def test_a_network_or_any_predictor_in_python_sees_the_same_samples():
         def predict(self, X, u, D_hat, t):
             return RK4.predict(X, u, D_hat, t)
 
-    noisy = Measurement(noise=0.01, period=0.05, delay=0.02, seed=3)
+    noisy = Measurement(relative_noise=0.01, period=0.05, delay=0.02, seed=3)
     run = npred.simulate(PLANT, InPython(PLANT, 51), measurement=noisy, **(START | {"t_end": 2.0}))
     np.testing.assert_allclose(run.X, loop(noisy, t_end=2.0).X, rtol=1e-12, atol=1e-14)
 
@@ -179,7 +179,7 @@ def test_an_observer_gets_what_it_needs_and_replaces_the_model():
 
 def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
     for wrong, words in (
-        ({"noise": -0.1}, "expected noise of at least 0, got -0.1"),
+        ({"relative_noise": -0.1}, "expected relative_noise of at least 0, got -0.1"),
         ({"period": 0.0}, "expected a period above 0, got 0.0; None is every step"),
         ({"drop": 1.0}, "expected drop from 0 up to 1, not included, got 1"),
         ({"seed": 0.5}, "expected a whole number of 64 bits as seed, got 0.5"),
@@ -199,7 +199,7 @@ def test_a_measurement_or_an_observer_that_is_wrong_is_refused():
 
 PLANTS = {1: npred.plant("scalar"), 2: npred.plant("van_der_pol"), 3: npred.plant("unicycle")}
 DT, STEPS = 0.01, 10
-ERRORS = ("noise", "absolute", "bias", "resolution")
+ERRORS = ("noise", "relative_noise", "bias", "resolution")
 
 
 def samples(measurement, X0, steps=STEPS):
@@ -243,10 +243,10 @@ def draws(measurement, shape, purpose):
 
 
 def unrounded(measurement, X):
-    """X (1 + noise ξ) + absolute η + bias."""
-    noise, absolute, bias = (np.array(getattr(measurement, name)) for name in ERRORS[:3])
+    """X (1 + relative ξ) + absolute η + bias."""
+    absolute, relative, bias = (np.array(getattr(measurement, name)) for name in ERRORS[:3])
     xi, eta = (draws(measurement, X.shape, purpose) for purpose in (1, 4))
-    return X * (1 + noise * xi) + absolute * eta + bias
+    return X * (1 + relative * xi) + absolute * eta + bias
 
 
 def rounded(value, step):
@@ -272,7 +272,7 @@ def sensors(draw, *names):
 
 
 @settings(max_examples=40, deadline=None)
-@given(sensors("noise", "absolute", "bias"))
+@given(sensors("relative_noise", "noise", "bias"))
 def test_each_sample_is_the_one_of_the_formula(case):
     Y, X = samples(*case)
     np.testing.assert_allclose(Y, unrounded(case[0], X), rtol=1e-13, atol=1e-13)
@@ -315,7 +315,7 @@ def test_what_only_a_rounded_quotient_takes_for_a_half_is_none():
 
 
 def test_a_state_at_zero_has_normal_noise_of_its_own_size():
-    Y, X = samples(Measurement(noise=0.5, absolute=[0.1, 3.0], seed=3), np.zeros((40, 2)), steps=250)
+    Y, X = samples(Measurement(relative_noise=0.5, noise=[0.1, 3.0], seed=3), np.zeros((40, 2)), steps=250)
     assert not X.any()
     for errors in (Y[..., 0] / 0.1, Y[..., 1] / 3.0):
         assert scipy.stats.kstest(errors.ravel(), "norm").pvalue > 1e-3
@@ -326,11 +326,11 @@ def test_a_state_at_zero_has_normal_noise_of_its_own_size():
 def test_relative_and_absolute_noise_are_independent():
     """The variance of a sum is the sum of variances, (0.03 X)² + 0.04²; so are both parts' numbers."""
     X0 = np.full((40, 2), 0.8)
-    Y, X = samples(Measurement(noise=0.03, absolute=0.04, seed=5), X0, steps=250)
+    Y, X = samples(Measurement(relative_noise=0.03, noise=0.04, seed=5), X0, steps=250)
     assert np.std((Y - X) / np.hypot(0.03 * X, 0.04)) == pytest.approx(1.0, abs=0.02)
     relative, absolute = (
         (np.subtract(*samples(Measurement(**{name: 0.05}, seed=5), X0, steps=250))).ravel()
-        for name in ("noise", "absolute")
+        for name in ("relative_noise", "noise")
     )
     assert abs(np.corrcoef(relative, absolute)[0, 1]) < 0.03
 
@@ -338,21 +338,21 @@ def test_relative_and_absolute_noise_are_independent():
 def closed(measurement, **changes):
     plant = PLANTS[2]
     start = {"X0": [[0.5, -0.2], [0.1, 0.3]], "D": 0.5, "D_hat": 0.5, "dt": 0.01, "t_end": 3.0} | changes
-    return npred.simulate(plant, npred.predictor("rk4", plant, nx=51), measurement=measurement, **start)
+    return npred.simulate(plant, npred.predictor(plant, "rk4", nx=51), measurement=measurement, **start)
 
 
 def test_a_number_is_the_same_as_it_for_each_state():
-    one = Measurement(noise=0.02, absolute=0.01, bias=0.1, resolution=0.05, seed=2)
-    each = Measurement([0.02] * 2, absolute=np.full(2, 0.01), bias=(0.1, 0.1), resolution=[0.05, 0.05], seed=2)
+    one = Measurement(relative_noise=0.02, noise=0.01, bias=0.1, resolution=0.05, seed=2)
+    each = Measurement(np.full(2, 0.01), relative_noise=[0.02] * 2, bias=(0.1, 0.1), resolution=[0.05, 0.05], seed=2)
     np.testing.assert_array_equal(closed(one).X, closed(each).X)
-    assert not np.array_equal(closed(one).X, closed(Measurement(noise=0.02, seed=2)).X)
+    assert not np.array_equal(closed(one).X, closed(Measurement(relative_noise=0.02, seed=2)).X)
     assert hash(each) and each == Measurement(
-        (0.02, 0.02), absolute=[0.01] * 2, bias=[0.1] * 2, resolution=[0.05] * 2, seed=2
+        [0.01] * 2, relative_noise=(0.02, 0.02), bias=[0.1] * 2, resolution=[0.05] * 2, seed=2
     )
 
 
 def test_sensors_without_errors_are_perfect():
-    zero = Measurement(noise=[0.0, 0.0], absolute=0, bias=[0, 0], resolution=0.0)
+    zero = Measurement(relative_noise=[0.0, 0.0], noise=0, bias=[0, 0], resolution=0.0)
     assert zero.perfect and np.array_equal(closed(zero).X, closed(None).X)
     for name in ERRORS:
         assert not Measurement(**{name: [0.0, 0.1]}).perfect
@@ -371,15 +371,15 @@ def test_the_loop_rests_where_a_bias_puts_it():
 @pytest.mark.parametrize(
     ("errors", "words"),
     [
-        ({"noise": [0.1, -0.1]}, r"measurement: expected noise of at least 0, got -0.1 at \[1\]; give 0 or more"),
-        ({"absolute": -1}, "measurement: expected absolute of at least 0, got -1; give 0 or more"),
-        ({"absolute": math.nan}, "measurement: expected absolute of at least 0, got nan; give 0 or more"),
+        ({"relative_noise": [0.1, -0.1]}, r"expected relative_noise of at least 0, got -0.1 at \[1\]; give 0 or more"),
+        ({"noise": -1}, "measurement: expected noise of at least 0, got -1; give 0 or more"),
+        ({"noise": math.nan}, "measurement: expected noise of at least 0, got nan; give 0 or more"),
         ({"resolution": [math.inf]}, r"measurement: expected resolution of at least 0, got inf at \[0\]; give 0 or"),
         ({"bias": [0.0, math.nan]}, r"measurement: bias: expected finite numbers, got nan at \[1\]; replace it"),
         ({"bias": np.ma.masked_array([1.0, 2.0], [0, 1])}, "measurement: bias: expected one real number, or one per"
          " state, got a masked array; convert it"),
-        ({"noise": "0.1"}, "measurement: noise: expected one real number, or one per state, got '0.1'; convert it"),
-        ({"noise": [[0.1]]}, r"measurement: noise: .* got an array of shape \(1, 1\); give a list"),
+        ({"relative_noise": "0.1"}, "relative_noise: expected one real number, or one per state, got '0.1'"),
+        ({"relative_noise": [[0.1]]}, r"measurement: relative_noise: .* got an array of shape \(1, 1\); give a list"),
         ({"resolution": [[1.0], [1.0, 2.0]]}, "measurement: resolution: expected one real number, or one per state"),
     ],
 )  # fmt: skip

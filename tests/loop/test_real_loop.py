@@ -9,7 +9,7 @@ from npred.base.errors import ConfigError
 from npred.plants import Plant
 
 PLANT = npred.plant("activator_repressor")
-RK4 = npred.predictor("rk4", PLANT, nx=51)
+RK4 = npred.predictor(PLANT, "rk4", nx=51)
 START = {"D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 10.0, "dt": 0.01}
 
 
@@ -45,7 +45,7 @@ def test_the_plant_gets_what_left_the_actuator_a_delay_ago(name):
     steps, errors = [0.1, 0.03, 0.01, 0.003, 0.001], []
     for dt in steps:
         run = npred.simulate(
-            DRIVEN, npred.predictor("rk4", DRIVEN, nx=11), D_hat=0.4, X0=[0.3], t_end=6.0, dt=dt, **settings
+            DRIVEN, npred.predictor(DRIVEN, "rk4", nx=11), D_hat=0.4, X0=[0.3], t_end=6.0, dt=dt, **settings
         )  # fmt: skip
         errors.append(abs(run.X[-1, 0] - exact))
     assert np.polyfit(np.log(steps), np.log(errors), 1)[0] > 0.9
@@ -63,7 +63,7 @@ class Carried:
 def test_a_disturbance_is_that_of_the_middle_of_each_step_for_the_whole_step():
     plant, dt = Plant("carried", Carried), 0.05
     run = npred.simulate(
-        plant, npred.predictor("heun", plant, nx=5), D=0.537, D_hat=0.5, X0=[0.0, 0.0], t_end=2.0, dt=dt,
+        plant, npred.predictor(plant, "heun", nx=5), D=0.537, D_hat=0.5, X0=[0.0, 0.0], t_end=2.0, dt=dt,
         disturbance=lambda t: [np.cos(9 * t), t * t],
     )  # fmt: skip
     middle = run.t[:-1] + dt / 2
@@ -74,7 +74,7 @@ def test_a_disturbance_is_that_of_the_middle_of_each_step_for_the_whole_step():
 @pytest.mark.parametrize("loops", [3, 70])  # one chunk of lanes, and two
 def test_a_disturbance_may_differ_from_loop_to_loop(loops):
     plant, sizes = Plant("carried", Carried), np.linspace(-1.0, 1.0, loops)
-    predictor = npred.predictor("heun", plant, nx=5)
+    predictor = npred.predictor(plant, "heun", nx=5)
     asked = {"D": 0.537, "D_hat": 0.5, "t_end": 1.0, "dt": 0.05, "every": 20}
     run = npred.simulate(
         plant, predictor, X0=np.zeros((loops, 2)), disturbance=lambda t: sizes[:, None] * [np.cos(9 * t), t], **asked
@@ -98,7 +98,7 @@ def test_a_delay_of_time_is_linear_between_control_steps(delays):
     """Held commands pass at the speed of t - D, several in a step or none: integrals of a staircase, one per step."""
     plant, dt = Plant("sent", type("Sent", (Sent,), {"delays": delays})), 0.05
     run = npred.simulate(
-        plant, npred.predictor("heun", plant, nx=5), D=lambda t: 0.6 + 0.5 * np.sin(3 * t), D_hat=0.6, X0=[0.0, 0.0],
+        plant, npred.predictor(plant, "heun", nx=5), D=lambda t: 0.6 + 0.5 * np.sin(3 * t), D_hat=0.6, X0=[0.0, 0.0],
         t_end=4.0, dt=dt, u0=[0.3, -0.4],
     )  # fmt: skip
     steps = np.arange(len(run.t))
@@ -124,7 +124,7 @@ class Late:
 def test_commands_arrive_by_the_delay_of_the_plant_and_not_of_its_model():
     """x = 0.2 + 0.8 t until t = 1 + k x, at 6 s for k = 1. For k = 1.5 they would overtake each other at once."""
     model = Plant("late", Late)
-    run, start = npred.predictor("rk4", model, nx=21), {"X0": [0.2], "u0": [0.8], "t_end": 6.5, "dt": 0.01}
+    run, start = npred.predictor(model, "rk4", nx=21), {"X0": [0.2], "u0": [0.8], "t_end": 6.5, "dt": 0.01}
     loop = npred.simulate(model, run, truth=Plant("late", Late, {"k": 1.0}), **start)
     before = loop.t < 5.99
     np.testing.assert_allclose(loop.X[before, 0], 0.2 + 0.8 * loop.t[before], rtol=1e-12)
@@ -155,7 +155,7 @@ def test_a_delay_that_falls_below_0_ends_the_loop_and_reads_no_later_command_tha
     """x' = -0.8 until t = 1 + x, at 0.667 s, then -0.9 until 1 + x = 0 at 1.407 s; at 1.40 s two commands arrive."""
     plant, t1 = Plant("falling", Falling, {"k": 1.0}), 1.2 / 1.8
     start = {"X0": [0.2], "u0": [-0.8], "input_bounds": [(-0.9, 1.0)]}
-    loop = npred.simulate(plant, npred.predictor("rk4", plant, nx=5), t_end=2.0, dt=0.01, **start)
+    loop = npred.simulate(plant, npred.predictor(plant, "rk4", nx=5), t_end=2.0, dt=0.01, **start)
     wanted = 0.2 - 0.8 * np.minimum(loop.t, t1) - 0.9 * np.maximum(loop.t - t1, 0.0)
     np.testing.assert_allclose(loop.X[:142, 0], wanted[:142], rtol=0, atol=1e-9)
     assert loop.infeasible == 141 and np.isnan(loop.X[142:]).all()

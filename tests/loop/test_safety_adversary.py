@@ -43,7 +43,7 @@ def test_its_integration_is_that_of_the_loop(adversary, cases, name):
     X0, before = states(case.plant, rng), rng.uniform(low, high, (adversary.PIECES, case.plant.m))
     delay = case.D + case.dt
     loop = npred.simulate(
-        case.plant, npred.predictor("rk4", case.plant, 31), D=delay, D_hat=case.D, X0=X0, t_end=1.0, dt=case.dt,
+        case.plant, npred.predictor(case.plant, "rk4", 31), D=delay, D_hat=case.D, X0=X0, t_end=1.0, dt=case.dt,
         u0=lambda t: adversary.past(case, before, t), actuator="history",
         safety=npred.SafetyFilter(delay=case.delay), progress=False,
     )  # fmt: skip

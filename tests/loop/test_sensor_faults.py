@@ -100,7 +100,7 @@ def test_a_plant_far_from_the_box_is_believed_in_the_end():
     """Ten times as far after each further delay, and then as well as anywhere."""
     plant, D = Plant("cart", Cart), 0.3
     one = npred.controller(
-        plant, npred.predictor("heun", plant, nx=11), None, DT, D_hat=D, actuator="history", u0=0.0,
+        plant, npred.predictor(plant, "heun", nx=11), None, DT, D_hat=D, actuator="history", u0=0.0,
         observer=npred.observers.EKF(plant),
     )  # fmt: skip
     loop, ages = Loop(one, [6e3]), []
@@ -136,7 +136,7 @@ def test_an_observer_of_the_delay_begins_anew_where_its_errors_are_not_finite(va
 def test_an_absurd_state_leaves_no_rate_of_the_delay_behind(value):
     plant, law = npred.plant("scalar"), npred.L1Adaptation(0.01, bounds=(0.1, 0.6))
     make = lambda: npred.controller(
-        plant, npred.predictor("heun", plant, nx=21), law, DT, D_hat=0.3, actuator="history", outlier_limit=None
+        plant, npred.predictor(plant, "heun", nx=21), law, DT, D_hat=0.3, actuator="history", outlier_limit=None
     )
     one = make()
     for k in range(20):

@@ -68,7 +68,7 @@ def test_python_c_and_fmu_settle_at_each_set_point_with_one_u(tmp_path, name):
 
 def parts(kind):
     plant = PENDULUM.plant
-    coarse = npred.guarded(npred.predictor("euler", plant, 7), 1e-3, exact=npred.predictor("rk4", plant, 31))
+    coarse = npred.guarded(npred.predictor(plant, "euler", 7), 1e-3, exact=npred.predictor(plant, "rk4", 31))
     return {
         "plain": {}, "watchdog": {"watchdog": npred.Watchdog(after=0.5)}, "guard": {"predictor": coarse},
         "EKF": {"observer": npred.observers.EKF(plant, outputs=("angle",))},
@@ -171,7 +171,7 @@ def test_a_rest_that_no_search_finds_is_refused():
             return [x.x**2 + 1 - p.aim - 1]
 
     plant = npred.plant(Parabola, kappa="lqr")
-    one = npred.controller(plant, npred.predictor("rk4", plant, 11), None, 0.01, D_hat=0.1, actuator="history")
+    one = npred.controller(plant, npred.predictor(plant, "rk4", 11), None, 0.01, D_hat=0.1, actuator="history")
     with pytest.raises(ConfigError, match=r"set: expected a rest .* for aim = -0\.5, found none; the old set-point"):
         one.set(aim=-0.5)
     assert one.parameters == {"aim": 1.0}
@@ -202,11 +202,11 @@ def test_a_network_keeps_what_it_was_trained_with_and_a_model_does_not():
     assert one.fixed == dict.fromkeys(sorted(one.fixed), "the network was trained with it")
     assert {"K1", "Ka"} <= one.fixed.keys() and not {"x1_set", "x2_set"} & one.fixed.keys()
     cart = npred.plant(Loaded)
-    one = npred.controller(cart, npred.predictor("rk4", cart, 11), None, 0.01, D_hat=0.3, actuator="history")
+    one = npred.controller(cart, npred.predictor(cart, "rk4", 11), None, 0.01, D_hat=0.3, actuator="history")
     assert one.fixed == {"unused": "nothing reads it"}
     one.set(load=2.0, aim=0.3)
     other = npred.plant(Loaded, load=2.0, aim=0.3)
-    fresh = npred.controller(other, npred.predictor("rk4", other, 11), None, 0.01, D_hat=0.3, actuator="history")
+    fresh = npred.controller(other, npred.predictor(other, "rk4", 11), None, 0.01, D_hat=0.3, actuator="history")
     assert one.step([0.1, 0.2]) == fresh.step([0.1, 0.2]) and one.step([0.1, 0.2]) == fresh.step([0.1, 0.2])
 
 
@@ -271,12 +271,12 @@ LOOP |= {"u0": "equilibrium"}
 
 def simulated(**more):
     plant = PENDULUM.plant
-    return npred.simulate(plant, npred.predictor("rk4", plant, 31), **LOOP | more)
+    return npred.simulate(plant, npred.predictor(plant, "rk4", 31), **LOOP | more)
 
 
 def test_a_simulated_loop_is_that_of_a_controller_which_is_set():
     plant, run = PENDULUM.plant, simulated(setpoints=COURSE)
-    predictor = npred.predictor("rk4", plant, 31)
+    predictor = npred.predictor(plant, "rk4", 31)
     one = npred.controller(plant, predictor, None, 0.01, D_hat=PENDULUM.D, actuator="history", u0="equilibrium")
     U = []
     for k, X in enumerate(run.X):
@@ -317,7 +317,7 @@ def test_on_a_clock_it_is_the_same():
 def test_the_simulated_plant_reads_the_parameter_too(more):
     cart = npred.plant(Loaded)
     loop = LOOP | {"X0": [0.0, 0.0], "setpoints": {"load": ([5.0], [2.0])}} | more
-    run = npred.simulate(cart, npred.predictor("rk4", cart, 11), **loop)
+    run = npred.simulate(cart, npred.predictor(cart, "rk4", 11), **loop)
     np.testing.assert_allclose(run.X[[-1]], [[0.0, 0.0]], atol=1e-6)
     assert run.U[-1] == pytest.approx(2.0, abs=1e-6) and np.abs(run.X[510:560]).max() > 0.01
     assert cart.p[0] == cart.parameters["load"] == 0.5  # which other loops share
@@ -344,7 +344,7 @@ def test_a_table_of_a_pipeline_has_a_course_and_its_loops_are_measured_by_it():
     table = {"X0": [0.3, 0.0], "D": PENDULUM.D, "D_hat0": PENDULUM.D, "dt": 0.01, "nx": 31, "actuator": "history"}
     table |= {"adaptation": "frozen", "u0": "equilibrium", "setpoints": {"aim": {"at": [6.0, 12.0], "to": [-0.8, 0.9]}}}
     read = Evaluate.model_validate(table | {"scenarios": [{"name": "still", "setpoints": {}}]})
-    predictor = npred.predictor("rk4", plant, 31)
+    predictor = npred.predictor(plant, "rk4", 31)
     D = np.array([PENDULUM.D])
     loops = Condition(read, np.array([[0.3, 0.0]]), D, D, 24.0, seed=0).loops(plant, predictor)
     np.testing.assert_allclose(loops.X[0], simulated(setpoints=COURSE).X, atol=1e-12)

@@ -28,7 +28,7 @@ class Escape:
 def loops(**change):
     plant = npred.plant("activator_repressor")
     settings = {"D": 1.0, "D_hat": 1.0, "X0": [0.03, 30.0], "t_end": 0.5, "dt": 0.01} | change
-    return npred.simulate(plant, npred.predictor("heun", plant, nx=11), **settings)
+    return npred.simulate(plant, npred.predictor(plant, "heun", nx=11), **settings)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_says_that_an_estimate_ended_at_its_bound():
     plant = npred.plant("scalar")
     for law in (npred.DelayObserver(bounds=(0.1, 0.8)), npred.DelayAdaptation(5.0, 1.0, (0.1, 0.8))):
         settings = {"D_hat": 0.5, "X0": [1.0], "t_end": 6.0, "dt": 0.01, "adaptation": law}
-        run = npred.simulate(plant, npred.predictor("heun", plant, nx=11), D=[1.2, 0.5], **settings)
+        run = npred.simulate(plant, npred.predictor(plant, "heun", nx=11), D=[1.2, 0.5], **settings)
         words = "  D_hat ended at its bound in 1 of 2 loops and the delay may lie outside; widen bounds"
         assert str(run).splitlines()[-1] == words
         assert "ended at its bound and the delay may lie outside" in str(replace(run, **one_of(run)))
@@ -77,7 +77,7 @@ def test_prints_a_batch_as_ranges(batch):
 @pytest.mark.filterwarnings("error")
 def test_says_which_loops_escape_and_tells_two_of_one_name_apart():
     plant = Plant("escape", Escape)
-    heun, settings = npred.predictor("heun", plant, 11), {"D": 0.1, "D_hat": 0.1, "t_end": 1.0, "dt": 0.001}
+    heun, settings = npred.predictor(plant, "heun", 11), {"D": 0.1, "D_hat": 0.1, "t_end": 1.0, "dt": 0.001}
     both = npred.simulate(plant, heun, X0=[[0.1], [2.0]], **settings)
     lines = str(both).splitlines()
     assert lines[0] == "Trajectories: 2 loops, 1001 times from 0 to 1 s"
@@ -107,7 +107,12 @@ def test_plots_a_panel_a_series_and_a_line_a_loop(batch):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     with pyplot.rc_context({"backend": "agg"}):
         axes = batch.plot(D=[1.0, 1.2, 1.0])
-        assert [panel.get_ylabel() for panel in axes] == ["x1", "x2", "U", "D_hat (s)"]
+        assert [panel.get_ylabel() for panel in axes] == [
+            r"x$_{\mathrm{1}}$",
+            r"x$_{\mathrm{2}}$",
+            "U",
+            r"$\hat{D}$ (s)",
+        ]
         assert [len(panel.lines) for panel in axes] == [6, 6, 6, 6 + 2]
         np.testing.assert_array_equal(axes[1].lines[4].get_ydata(), batch.X[1, 1, :, 1])
         assert axes[-1].get_xlabel() == "t (s)"
@@ -127,13 +132,13 @@ def test_a_plot_has_the_labels_and_units_that_the_plant_declares():
     from matplotlib import pyplot
 
     plant = Plant("tank", Tank)
-    loop = npred.simulate(plant, npred.predictor("heun", plant, 5), D=0.1, D_hat=0.1, X0=[1, 1], t_end=0.2, dt=0.01)
+    loop = npred.simulate(plant, npred.predictor(plant, "heun", 5), D=0.1, D_hat=0.1, X0=[1, 1], t_end=0.2, dt=0.01)
     with pyplot.rc_context({"backend": "agg"}):
         axes = loop.plot()
         axes[0].figure.canvas.draw()  # mathematics that matplotlib cannot read raises here
         labels = [panel.get_ylabel() for panel in axes]
         pyplot.close(axes[0].figure)
-    assert labels == ["level h$_{\\mathrm{a}}$ (m)", "T", "q (m$^{3}$/min)", "D_hat (min)"]
+    assert labels == ["level h$_{\\mathrm{a}}$ (m)", "T", "q (m$^{3}$/min)", "$\\hat{D}$ (min)"]
     assert axes[-1].get_xlabel() == "t (min)"
 
 
@@ -188,6 +193,65 @@ def test_a_plot_takes_axes_of_any_arrangement_and_refuses_too_few(one):
         pyplot.close(figure)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_lost_loop_leaves_the_picture_and_the_others_are_shown_whole():
+    from matplotlib import pyplot
+
+    plant = npred.plant("cart_pole")
+    heun = npred.predictor(plant, "heun", nx=31)
+    settings = {"D": 0.3, "X0": [0.3, 0, 0.1, 0], "t_end": 20, "actuator": "history"}
+    lost, kept = (npred.simulate(plant, heun, D_hat=D_hat, **settings) for D_hat in (0, 0.3))
+    assert lost.escaped > 0 and np.nanmax(np.abs(lost.X)) > 1e50 and kept.escaped < 0
+    with pyplot.rc_context({"backend": "agg"}):
+        for first, second in ((lost, kept), (kept, lost)):
+            axes = first.plot(label="first")
+            second.plot(ax=axes, label="second")
+            for panel, (_, values) in zip(axes[:-1], trajectory_views.series(kept), strict=False):
+                (low, high), height = panel.get_ylim(), np.ptp(values)
+                assert low < values.min() and values.max() < high and high - low < 4 * height
+            axes[0].figure.canvas.draw()
+        alone = lost.plot()
+        alone[0].figure.canvas.draw()
+        for panel, X in zip(alone, lost.X.T, strict=False):
+            assert panel.get_ylim()[1] < 1e5 and panel.get_ylim()[1] > np.nanmax(X[:100])
+        far = npred.simulate(
+            plant, heun, D_hat=0, **settings | {"t_end": 200}
+        )  # gone before a tenth of the time is over
+        far.plot()[0].figure.canvas.draw()
+        assert not trajectory_views._lost(loops(t_end=2.0)).any()
+        pyplot.close("all")
+
+
+def test_a_plot_has_the_signals_and_the_size_that_are_asked_for(one):
+    from matplotlib import pyplot
+
+    with pyplot.rc_context({"backend": "agg"}):
+        axes = one.plot(signals=("U", "x2"), size=(5, 4))
+        assert axes[0].get_ylabel() == "U" and len(axes) == 2
+        np.testing.assert_array_equal(axes[1].lines[0].get_ydata(), one.X[:, 1])
+        assert tuple(axes[0].figure.get_size_inches()) == (5, 4)
+        axes = one.plot(signals="X", size="article", label="first")
+        one.plot(ax=axes, signals="X", label="second")
+        assert len(axes) == 2 and axes[0].figure.get_figwidth() == 3.5
+        texts = [
+            *axes[0].get_legend().get_texts(),
+            *axes[1].get_xticklabels(),
+            axes[1].xaxis.label,
+            axes[0].yaxis.label,
+        ]
+        assert {text.get_fontsize() for text in texts} == {7}
+        with pytest.raises(ConfigError, match="signals: expected one of X, U, x1, x2, D_hat, got 'x3'; did you mean"):
+            one.plot(signals=("x3",))
+        with pytest.raises(ConfigError, match=r"signals: expected at least one of .*, got none"):
+            one.plot(signals=())
+        for size in ("paper", (3,), (0, 2)):
+            with pytest.raises(ConfigError, match='size: expected "article", or width and height in inches, got '):
+                one.plot(size=size)
+        with pytest.raises(ConfigError, match="size: expected none beside ax"):
+            one.plot(ax=axes, signals="X", size="article")
+        pyplot.close("all")
+
+
 def test_a_notebook_shows_text_and_plot_of_a_few_loops_and_the_text_of_many(one, batch):
     from matplotlib import pyplot
 
@@ -197,7 +261,7 @@ def test_a_notebook_shows_text_and_plot_of_a_few_loops_and_the_text_of_many(one,
     text, svg = page.split("</pre>")
     assert "D_hat  0.5 … 1" in text
     root = ElementTree.fromstring(svg)
-    assert {"x1", "x2", "U", "D_hat (s)"} <= {element.text for element in root.iter(f"{root.tag[:-3]}text")}
+    assert "U" in {element.text for element in root.iter(f"{root.tag[:-3]}text")}
     assert "<svg" not in replace(batch, escaped=np.full(21, -1))._repr_html_()
     assert len(one._repr_html_()) < 50_000
 
@@ -205,5 +269,5 @@ def test_a_notebook_shows_text_and_plot_of_a_few_loops_and_the_text_of_many(one,
 def test_a_notebook_shows_names_as_text():
     plant = Plant("tank", Tank)
     assert "&lt;Plant tank: " in plant._repr_html_() and "<Plant" not in plant._repr_html_()
-    assert "nx = 7" in npred.predictor("rk4", plant, 7)._repr_html_()
+    assert "nx = 7" in npred.predictor(plant, "rk4", 7)._repr_html_()
     assert "samples: 3" in Generated(samples=3, rollouts=1, held_out=[0], nx=5)._repr_html_()

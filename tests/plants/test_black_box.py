@@ -149,7 +149,9 @@ def test_the_loop_is_that_of_the_traced_plant(plant, adaptation):
 
 
 def test_controller_steps_are_those_of_the_loop(plant):
-    controller = npred.controller(plant, predictors.numerical("rk4", plant, 11), LAW, 0.01, D_hat=0.25)
+    controller = npred.controller(
+        plant, predictors.numerical("rk4", plant, 11), LAW, 0.01, D_hat=0.25, actuator="measured"
+    )
     loop = simulate(plant, predictors.numerical("rk4", plant, 11), D=0.2, D_hat=0.25, X0=[0.1, 0, 0.05, 0], t_end=0.01,
                     dt=0.01, adaptation=LAW)  # fmt: skip
     np.testing.assert_allclose(controller.step([0.1, 0, 0.05, 0], np.zeros((11, 1))), loop.U[0], rtol=1e-14)

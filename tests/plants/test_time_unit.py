@@ -42,15 +42,15 @@ LAW = npred.DelayObserver(bounds=(0.1, 2.0), candidates=5)
 
 def controller(plant, **options):
     law = None if plant.declares_delay else LAW
-    return npred.controller(plant, npred.predictor("rk4", plant, 5), law, 0.01, actuator="history", u0=[1.0], **options)
+    return npred.controller(plant, npred.predictor(plant, "rk4", 5), law, 0.01, actuator="history", u0=[1.0], **options)
 
 
 def bare(vat, law, dt):
-    return npred.controller(vat, npred.predictor("rk4", vat, 5), law, dt)
+    return npred.controller(vat, npred.predictor(vat, "rk4", 5), law, dt)
 
 
 def run(vat, **options):
-    return npred.simulate(vat, npred.predictor("rk4", vat, 5), X0=[1.0], t_end=1.0, **options)
+    return npred.simulate(vat, npred.predictor(vat, "rk4", 5), X0=[1.0], t_end=1.0, **options)
 
 
 def names_no_seconds(text):
@@ -101,7 +101,7 @@ def test_the_fmu(tmp_path, version):
         (lambda vat: bare(vat, None, 0.01), "expected a delay in h, for nothing"),
         (lambda vat: bare(vat, LAW, -1.0), "above 0, got -1.0; give a time in h"),
         (run, "a delay in h, got none"),
-        (lambda vat: npred.controller(vat, npred.predictor("rk4", vat, 5), LAW, 0.01).restore({"D_hat": 1, "step": 0,
+        (lambda vat: npred.controller(vat, npred.predictor(vat, "rk4", 5), LAW, 0.01).restore({"D_hat": 1, "step": 0,
          "t0": np.inf}), "t: expected a finite time, got inf"),
         (lambda vat: diagnosis.check(vat, delay=-1.0), "delay: expected a time above 0, got -1 h"),
         (lambda vat: run(vat, D=-1.0, D_hat=1.0), "D: expected a delay of at least 0, got -1"),

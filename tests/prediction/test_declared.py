@@ -109,8 +109,8 @@ def test_a_constant_through_the_general_formula_is_a_constant_to_the_bit():
         "general", type("General", (built_in.declaration,), {"delay": staticmethod(lambda x, t, p, M: 1.0)})
     )
     start = {"X0": [[0.03, 30.0], [0.1, 6.0]], "t_end": 5.0}
-    loops = npred.simulate(general, npred.predictor("rk4", general), **start)
-    constant = npred.simulate(built_in, npred.predictor("rk4", built_in), D=1.0, D_hat=1.0, **start)
+    loops = npred.simulate(general, npred.predictor(general, "rk4"), **start)
+    constant = npred.simulate(built_in, npred.predictor(built_in, "rk4"), D=1.0, D_hat=1.0, **start)
     assert np.array_equal(loops.X, constant.X) and np.array_equal(loops.P, constant.P)
 
 
@@ -172,7 +172,7 @@ def test_a_declared_delay_takes_no_other(given):
 
 def test_what_the_family_lacks_is_refused_with_the_cure():
     with pytest.raises(ConfigError, match=r"picard: expected a delay that is a number, .*; use rk4"):
-        npred.predictor("picard", DECAY)
+        npred.predictor(DECAY, "picard")
 
 
 @pytest.mark.parametrize("part", ["onnx", "export c"])
@@ -206,7 +206,7 @@ class Pulsing:
 def test_the_margin_of_a_prediction_is_that_of_the_time_when_its_node_comes(guarded):
     """A delay of time alone: ds/dx = H / (1 - D_t(s)) needs no plant, and is stepped here by hand."""
     plant, dt, nx = Plant("pulsing", Pulsing), 0.01, 41
-    run = npred.predictor("rk4", plant, nx)
+    run = npred.predictor(plant, "rk4", nx)
     loop = npred.simulate(plant, npred.guarded(run) if guarded else run, X0=[1.0], t_end=4.0, dt=dt)
 
     def margins(t):

@@ -78,7 +78,7 @@ class LateSwing(Swing):
     delay = lambda x, t, p, M: 0.3
 
 
-SENSORS = npred.Measurement(noise=0.01, absolute=0.01, period=0.05, delay=0.03, drop=0.2, seed=5)
+SENSORS = npred.Measurement(relative_noise=0.01, noise=0.01, period=0.05, delay=0.03, drop=0.2, seed=5)
 
 
 @pytest.mark.parametrize("measurement", [None, SENSORS])

@@ -54,7 +54,7 @@ def test_the_estimate_is_the_error_of_U_where_that_decides(size):
 def test_of_an_exact_prediction_the_estimate_falls_with_the_cube_of_the_step():
     """The local errors of the shadows are of order h³, and the grids' difference of order 4; one of h² is left over."""
     X, u, D_hat = rows()
-    guarded = Guarded(npred.predictor("rk4", PLANT, 241))
+    guarded = Guarded(npred.predictor(PLANT, "rk4", 241))
     u = grid.refine(u, 241)
     P = guarded.exact(X, u, D_hat)
     levels = [[10, 20], [20, 40], [40, 80]]
@@ -85,7 +85,7 @@ def loop(predictor, **arguments):
 
 
 def test_a_loop_that_always_falls_back_is_the_numerical_one_and_counts_every_step():
-    run, exact = (loop(p) for p in (npred.guarded(Wrong(PLANT, error=0.5), 1e-12), npred.predictor("rk4", PLANT, NX)))
+    run, exact = (loop(p) for p in (npred.guarded(Wrong(PLANT, error=0.5), 1e-12), npred.predictor(PLANT, "rk4", NX)))
     np.testing.assert_array_equal(run.X, exact.X)
     assert run.fallback.all() and (run.fallbacks == run.steps).all() and run.fallback_share == 1.0
 
@@ -100,13 +100,13 @@ class Escape:
 
 def test_a_loop_that_is_lost_falls_back_no_more():
     plant = Plant("escape", Escape)
-    guarded = npred.guarded(npred.predictor("heun", plant, 11), 1e-300)
+    guarded = npred.guarded(npred.predictor(plant, "heun", 11), 1e-300)
     run = npred.simulate(plant, guarded, D=0.1, D_hat=0.1, X0=[2.0], t_end=1.0, dt=0.001)
     assert 450 < run.escaped < 700 and run.fallbacks == run.escaped
 
 
 def test_a_loop_that_never_falls_back_is_the_bare_one():
-    heun = npred.predictor("heun", PLANT, NX)
+    heun = npred.predictor(PLANT, "heun", NX)
     guarded = npred.guarded(heun, 0.05)
     run, alone = loop(guarded), loop(heun)
     np.testing.assert_array_equal(run.X, alone.X)
@@ -125,7 +125,9 @@ def test_kept_states_say_whether_the_guard_answered_since_the_one_before():
 def test_the_controller_steps_as_the_loop_and_says_when_the_guard_answered():
     guarded = npred.guarded(Wrong(PLANT, error=0.05), 0.005)
     run = loop(guarded, D_hat=0.5, samples=np.array([0, 1, 2, 3]), input_bounds=[[-10.0, 10.0]])
-    controller = npred.controller(PLANT, guarded, None, 0.01, D_hat=0.5, input_bounds=[[-10.0, 10.0]])
+    controller = npred.controller(
+        PLANT, guarded, None, 0.01, D_hat=0.5, input_bounds=[[-10.0, 10.0]], actuator="measured"
+    )
     for k in range(3):
         U = controller.step(run.samples.X[k], run.samples.u[k])
         np.testing.assert_allclose(U, run.U[k], atol=1e-3)
@@ -141,7 +143,7 @@ def test_plants_of_every_family_are_guarded(tmp_path):
         rng = np.random.default_rng(1)
         X = np.broadcast_to(np.asarray(plant.target(0.0)), (4, plant.n)) + 0.05 * rng.standard_normal((4, plant.n))
         u = np.full((4, NX, plant.m), 0.1) + (plant.u_equilibrium if plant.rests else 0.0)
-        exact = npred.predictor("rk4", plant, NX)
+        exact = npred.predictor(plant, "rk4", NX)
         assert not Guarded(exact, 0.03).fallback(X, u, 0.5).any(), plant.name
         wrong = Wrong(plant, error=0.1)
         fallback = Guarded(wrong, 1e-6).fallback(X, u, 0.5)
@@ -153,7 +155,7 @@ def test_outside_the_data_numerics_answer_although_the_estimate_is_small():
     X, u, D_hat = rows(400)
     X[:, 1], D_hat[:] = 30 + 20 * (D_hat - 1), D_hat  # a state and a delay that come together
     parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(len(X))})()]
-    model = npred.predictor("heun", PLANT, NX)
+    model = npred.predictor(PLANT, "heun", NX)
     model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, X.std(axis=0), PLANT.phase)})()
     guarded = Guarded(model, 0.05)
     assert not guarded.fallback(X, u, D_hat).any()
@@ -166,7 +168,7 @@ def resolved(count=200):
     """A guard of Heun's method, and smooth rows that its domain is of, all of them examples."""
     X, u, D_hat = rows(count)
     parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(count)})()]
-    model = npred.predictor("heun", PLANT, NX)
+    model = npred.predictor(PLANT, "heun", NX)
     model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, X.std(axis=0), PLANT.phase)})()
     return Guarded(model, 0.05), X, u, D_hat
 
@@ -178,7 +180,7 @@ def test_the_kernel_refuses_what_is_beyond_the_data():
     doubted = guarded.error(X, u, D_hat) > guarded.threshold
     np.testing.assert_array_equal(guarded.fallback(X, u, D_hat), doubted | (beyond > 1))
     assert 0.1 < (beyond > 1).mean() < 0.9 > doubted.mean()
-    assert (npred.guarded(npred.predictor("heun", PLANT, NX)).beyond(X, u, D_hat, 0 * D_hat) == 0).all()
+    assert (npred.guarded(npred.predictor(PLANT, "heun", NX)).beyond(X, u, D_hat, 0 * D_hat) == 0).all()
 
 
 def test_how_u_may_be_read_counts_as_far_as_it_moves_U():
@@ -196,7 +198,7 @@ def test_a_feature_out_of_its_range_is_outside_although_one_far_row_stretches_th
     X, u, D_hat = rows(400)
     u[0] += 30.0
     data = type("Rows", (), {"X": X, "u": u, "D_hat": D_hat, "t": np.zeros(len(X))})()
-    model = npred.predictor("heun", PLANT, NX)
+    model = npred.predictor(PLANT, "heun", NX)
     model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: [data], X.std(axis=0), PLANT.phase)})()
     guarded, longer = Guarded(model, 0.05), np.array([3.0])
     assert not guarded.fallback(X[1], u[1], D_hat.max() + 0.2)
@@ -275,7 +277,7 @@ def test_a_delay_that_tells_the_time_is_a_feature_of_the_domain_and_its_phase_is
         (1 + t) / (1 + 2 * t),
     )
     parts = [type("Rows", (), {"X": X, "u": u, "D_hat": D, "t": t})()]
-    model = npred.predictor("heun", plant, NX)
+    model = npred.predictor(plant, "heun", NX)
     model.operator = type("Operator", (), {"domain": Domain.of_parts(lambda: parts, np.ones(3), plant.phase)})()
     guarded = Guarded(model, 1.0)
     assert not guarded.fallback(X, u, D, t).any()
@@ -306,11 +308,11 @@ def test_errors_of_predictions_are_in_units_of_U():
 
 
 def test_refusals_are_one_line_each():
-    heun = npred.predictor("heun", PLANT, NX)
+    heun = npred.predictor(PLANT, "heun", NX)
     for refused, call in {
         "tolerance: expected a number above 0": lambda: npred.guarded(heun, 0.0),
         "guarded: expected a Predictor": lambda: npred.guarded("deeponet"),
-        "guarded: expected a model on 5 nodes or more, got 4": lambda: npred.guarded(npred.predictor("heun", PLANT, 4)),
+        "guarded: expected a model on 5 nodes or more, got 4": lambda: npred.guarded(npred.predictor(PLANT, "heun", 4)),
         "u: expected 51 nodes": lambda: npred.guarded(heun)([0.03, 30.0], np.zeros((21, 1)), 1.0),
     }.items():
         with pytest.raises(ConfigError, match=refused) as error:
@@ -348,7 +350,7 @@ def test_on_a_stiff_plant_an_implicit_method_estimates_and_answers_on_few_steps(
     name, levels = guarded.reference
     assert name in ("semi_implicit", "rosenbrock") and levels[1] <= 24
     assert isinstance(guarded.exact, Coarse) and guarded.exact.count < 50
-    assert np.abs(npred.predictor("rk4", plant, NX)(rows.X, rows.u, rows.D_hat)[:, -1]).max() > 1e6
+    assert np.abs(npred.predictor(plant, "rk4", NX)(rows.X, rows.u, rows.D_hat)[:, -1]).max() > 1e6
     assert guarded.fallback(rows.X, rows.u, rows.D_hat).mean() < 0.01
 
 
@@ -387,7 +389,7 @@ def test_the_guard_of_one_call_is_that_of_many(stiff):
 
 def test_without_examples_the_method_of_an_implicit_exact_predictor_estimates():
     plant = Plant("sprung", Sprung)
-    model, exact = (npred.predictor("rosenbrock", plant, NX) for _ in range(2))
+    model, exact = (npred.predictor(plant, "rosenbrock", NX) for _ in range(2))
     assert Guarded(model, 0.01, exact=exact).reference[0] == "rosenbrock"
     assert not Guarded(model, 0.01, exact=exact).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)
     assert Guarded(model, 0.01).fallback([0.0, 0.5], np.zeros((NX, 1)), 1.0)  # RK4's diverges: it doubts

@@ -60,9 +60,9 @@ def test_evaluations_of_f_are_counted_from_the_formula(name, count):
 
 def test_a_method_of_a_file_predicts_and_integrates(ralston):
     """On a linear plant all methods of order 2 with two stages are one polynomial of h f_P; here u is constant."""
-    mine = npred.predictor(ralston, PLANT, 41)
+    mine = npred.predictor(PLANT, ralston, 41)
     X, u = [1.0], np.full((41, 1), 0.3)
-    assert abs(mine(X, u, 0.5) - npred.predictor("rk4", PLANT, 41)(X, u, 0.5)).max() < 1e-4
+    assert abs(mine(X, u, 0.5) - npred.predictor(PLANT, "rk4", 41)(X, u, 0.5)).max() < 1e-4
     settings = {"D": 0.3, "D_hat": 0.3, "X0": [0.5], "t_end": 1.0, "dt": 0.01}
     loops = [simulate(PLANT, mine, integrator=name, **settings) for name in (ralston, "heun")]
     np.testing.assert_allclose(loops[0].X, loops[1].X, atol=1e-5)
@@ -132,8 +132,8 @@ def test_the_times_of_a_bench_are_of_the_baselines_as_their_files_are(tmp_path: 
 def test_a_method_of_a_package_has_a_name(package):
     package("ralston = shed_of_tanks:Ralston", RALSTON, "npred.predictors")
     x = grid.nodes(21)[:, None]
-    P = npred.predictor("ralston", PLANT, 21)([1.0], x, 0.5)
-    np.testing.assert_allclose(P, npred.predictor("heun", PLANT, 21)([1.0], x, 0.5), atol=1e-4)
+    P = npred.predictor(PLANT, "ralston", 21)([1.0], x, 0.5)
+    np.testing.assert_allclose(P, npred.predictor(PLANT, "heun", 21)([1.0], x, 0.5), atol=1e-4)
     asked = question("generate", generate={"predictor": "ralston"})["generate"]["predictor"]
     assert asked == {
         "name": "ralston", "target": "shed_of_tanks:Ralston", "package": "shed-of-tanks", "version": "1.0",

@@ -73,7 +73,7 @@ D_HAT, T = RNG.uniform(0.1, 0.5, 8), RNG.uniform(0, 3, 8)
 
 
 def guarded():
-    return npred.guarded(npred.predictor("heun", npred.plant("van_der_pol"), nx=NX), tolerance=1e-4)
+    return npred.guarded(npred.predictor(npred.plant("van_der_pol"), "heun", nx=NX), tolerance=1e-4)
 
 
 def test_one_sample_gets_what_it_gets_in_a_batch():
@@ -106,7 +106,7 @@ def test_a_delay_may_be_any_number(d):
 
 
 def test_u_of_one_input_may_be_flat_and_on_other_nodes():
-    predictor = npred.predictor("rk4", npred.plant("scalar"), nx=NX)
+    predictor = npred.predictor(npred.plant("scalar"), "rk4", nx=NX)
     for nx in (5, NX):
         u = np.linspace(0, 1, nx)
         np.testing.assert_array_equal(predictor(np.ones(1), u, 0.3), predictor(np.ones(1), u[:, None], 0.3))

@@ -167,7 +167,7 @@ def test_an_input_without_delay_is_one_with_almost_none(method):
 def test_control_is_the_law_of_the_prediction_at_each_delay(nx, delays):
     """U_j = kappa_j(P(r_j), t + r_j D_hat), whether x = 5/12 is a node (nx = 97) or lies between two."""
     declared, X = plant(delays), [0.5, -0.3, 0.8]
-    controller = npred.controller(declared, RK4(declared, nx), None, 0.01, D_hat=D_HAT)
+    controller = npred.controller(declared, RK4(declared, nx), None, 0.01, D_hat=D_HAT, actuator="measured")
     for k in range(3):
         U = controller.step(X, u(grid.nodes(nx)))
         for c, (r, P) in enumerate(zip(declared.ratios, exact(declared, X, u, 0.01 * k, declared.ratios), strict=True)):
@@ -228,7 +228,7 @@ def test_the_update_law_is_refused_with_distinct_delays():
     with pytest.raises(ConfigError, match=told + "freeze the estimate"):
         simulate(declared, RK4(declared), D=0.6, D_hat=0.6, X0=[0.1, 0, 0], t_end=1.0, adaptation=law)
     with pytest.raises(ConfigError, match=told):
-        npred.controller(declared, RK4(declared), law, 0.01)
+        npred.controller(declared, RK4(declared), law, 0.01, actuator="measured")
     with pytest.raises(ConfigError, match=told):
         law.phi(declared, np.zeros(3), np.zeros((5, 2)), np.zeros((5, 3)), 0.6)
 

@@ -246,7 +246,7 @@ def test_what_picard_was_asked_for_is_pickled():
 def test_predictors_and_controllers_work_in_a_process_that_was_spawned():
     u, X = np.zeros((21, 1)), [0.03, 30.0]
     runs = [RK4(PLANT, 21), predictor_of("torch", PLANT, operator(SMALL[1]), 21)]
-    controller = npred.controller(PLANT, runs[0], None, 0.01, D_hat=1.0)
+    controller = npred.controller(PLANT, runs[0], None, 0.01, D_hat=1.0, actuator="measured")
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         for run in runs:
             np.testing.assert_array_equal(pool.submit(run, X, u, 1.0).result(), run(X, u, 1.0))
@@ -258,7 +258,7 @@ def test_joblib_runs_predictors_and_controllers_in_processes():
     joblib = pytest.importorskip("joblib")
     u, X = np.zeros((21, 1)), [0.03, 30.0]
     run = RK4(PLANT, 21)
-    controller = npred.controller(PLANT, run, None, 0.01, D_hat=1.0)
+    controller = npred.controller(PLANT, run, None, 0.01, D_hat=1.0, actuator="measured")
     with joblib.parallel_config(backend="loky"):
         calls = [joblib.delayed(run)(X, u, D_hat) for D_hat in (0.5, 1.0)]
         *predictions, U = joblib.Parallel(n_jobs=2)([*calls, joblib.delayed(controller.step)(X, u)])

@@ -88,7 +88,7 @@ def loop(of, nx: int):
         X0 = [low + 0.8 * (high - low) for low, high in (plant.box[name] for name in plant.states)]
     delays = {} if plant.declares_delay else {"D": D, "D_hat": D}
     t_end = 5.0 if D is None else max(8 * D, 4.0)
-    run = npred.simulate(plant, npred.predictor("rk4", plant, nx), X0=X0, t_end=t_end, **delays)
+    run = npred.simulate(plant, npred.predictor(plant, "rk4", nx), X0=X0, t_end=t_end, **delays)
     return run.t[: len(run.U)], run.U
 
 

@@ -37,7 +37,7 @@ def errors(method, plant, X, D_hat, steps, t=0.0):
     exact, found = radau(plant, tuple(X), D_hat, t), []
     for n in steps:
         u = np.stack([command(x, plant.m) for x in grid.nodes(n + 1)])
-        found.append(np.abs(npred.predictor(method, plant, n + 1)(X, u, D_hat, t)[-1] - exact).max())
+        found.append(np.abs(npred.predictor(plant, method, n + 1)(X, u, D_hat, t)[-1] - exact).max())
     return np.array(found)
 
 
@@ -73,14 +73,14 @@ def test_ten_steps_serve_where_explicit_methods_need_hundreds(method):
 @pytest.mark.parametrize("method", ["rosenbrock", "semi_implicit"])
 def test_without_a_delay_the_prediction_is_the_state(method):
     X, u = np.array([0.3, 0.7, 1.0, 0.1, 0.0, -0.2]), np.ones((6, 3)) * grid.nodes(6)[:, None]
-    np.testing.assert_allclose(npred.predictor(method, ARM, 6)(X, u, 0.0), np.tile(X, (6, 1)), atol=1e-14)
+    np.testing.assert_allclose(npred.predictor(ARM, method, 6)(X, u, 0.0), np.tile(X, (6, 1)), atol=1e-14)
 
 
 @pytest.mark.parametrize("method", ["rosenbrock", "semi_implicit"])
 def test_many_lanes_are_as_one(method):
     rng = np.random.default_rng(0)
     X, u, D_hat = rng.normal(size=(9, 2)), rng.normal(size=(9, 11, 1)), rng.uniform(0.1, 1.0, 9)
-    predictor = npred.predictor(method, SPRUNG, 11)
+    predictor = npred.predictor(SPRUNG, method, 11)
     for row, P in zip(zip(X, u, D_hat, strict=True), predictor(X, u, D_hat), strict=True):
         np.testing.assert_allclose(predictor(*row), P, rtol=1e-12, atol=1e-14)
 
@@ -107,11 +107,11 @@ def test_refusals_are_one_line_each(tmp_path):
     spring = npred.plants.Plant("sprung", Sprung, {"spring": 5.0})
     for refused, call in {
         "semi_implicit: expected a plant that declares mechanics": lambda: npred.predictor(
-            "semi_implicit", npred.plant("scalar")
+            npred.plant("scalar"), "semi_implicit"
         ),
-        "semi_implicit: expected one delay": lambda: npred.predictor("semi_implicit", npred.plant("unicycle")),
-        r"mechanics .* expected the accelerations of f": lambda: npred.predictor("semi_implicit", spring),
-        r"mechanics .* expected to return M \(1, 1\)": lambda: npred.predictor("semi_implicit", other),
+        "semi_implicit: expected one delay": lambda: npred.predictor(npred.plant("unicycle"), "semi_implicit"),
+        r"mechanics .* expected the accelerations of f": lambda: npred.predictor(spring, "semi_implicit"),
+        r"mechanics .* expected to return M \(1, 1\)": lambda: npred.predictor(other, "semi_implicit"),
         "declares none; use rosenbrock": lambda: simulate(
             npred.plant("scalar"), None, D=0.1, D_hat=0.1, X0=[1.0], t_end=1.0, integrator="semi_implicit"
         ),

@@ -53,6 +53,26 @@ def test_quiet_keeps_warnings_and_errors(capsys: pytest.CaptureFixture[str]):
     assert capsys.readouterr() == ("", "warning: careful\n")
 
 
+def test_the_environment_keeps_it_quiet_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("NPRED_QUIET", "1")
+    console = Console()
+    console.wait("compiling a kernel")
+    with console.bar("work", 2, "step") as bar:
+        bar.advance(2)
+    console.note("note")
+    assert capsys.readouterr() == ("", "note\n")
+
+
+def test_what_is_to_be_expected_once_is_said_once_in_a_run(capsys: pytest.CaptureFixture[str]):
+    console = Console()
+    for what in ("5 kernels: about 3 s", "a kernel: about 1 s", "a kernel: about 1 s"):
+        console.wait(f"compiling {what}, once per plant")
+    console.wait("simulating 1 loop: about 3 s")
+    console.wait("simulating 1 loop: about 3 s")
+    said = capsys.readouterr().err.splitlines()
+    assert said == ["compiling 5 kernels: about 3 s, once per plant", *2 * ["simulating 1 loop: about 3 s"]]
+
+
 def test_details_are_for_the_verbose(capsys: pytest.CaptureFixture[str]):
     Console().detail("hidden")
     Console(verbose=True).detail("shown")

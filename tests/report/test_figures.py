@@ -1,5 +1,6 @@
 """The figures: one look a predictor, the same bytes for the same data, SVG that a page can hold."""
 
+import itertools
 import re
 from dataclasses import replace
 from threading import Event, Thread
@@ -16,6 +17,7 @@ from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, PredictorId, rank
 from npred.lab.config.results.evaluate import Conditions, Scores
 from npred.lab.report import figures
 from npred.lab.report.figures import accuracy
+from npred.lab.report.figures import figure as figure_module
 from npred.lab.report.figures.evaluation_data import ErrorArrays, EvaluationData, Histogram, LoopSeries
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, inline, write
 from npred.lab.report.figures.style import MEDIA, ROLES, SCREEN, LineStyle, colours, line_of, log, medium
@@ -272,6 +274,14 @@ def test_files_for_papers_have_their_width_and_the_same_bytes_again(tmp_path, me
     assert f'width="{MEDIA[medium].width * 72:g}pt"' in (tmp_path / "a/some.svg").read_text()
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_loop_that_is_lost_leaves_a_panel_without_a_word(tmp_path):
+    t, huge = np.linspace(0, 1, 5), np.array([0, 1, 1.7e308, -1.7e308, np.nan])
+    panel = Panel("x", "Lost.", figure_module.curves([(LineStyle("ink"), t, huge)], "t", ylim=(-1, 2)))
+    inline(panel, "a")
+    write(Figure("lost", "Lost", "Lost.", (panel,)), tmp_path)
+
+
 def test_threads_that_draw_at_once_leave_each_other_alone(tmp_path):
     """A thread comes into its medium while another one is in the middle of drawing in its own."""
     inside, gone = Event(), Event()
@@ -347,6 +357,33 @@ def test_speed_draws_finite_rows_of_batch_one():
     assert [key.label for key in figure.legend] == ["Euler", "RK4"]
     for panel in figure.panels:
         ElementTree.fromstring(inline(panel, "p"))
+
+
+@pytest.mark.parametrize("style", [*MEDIA.values(), SCREEN])
+def test_no_label_of_an_axis_lies_on_another(style, tmp_path, monkeypatch):
+    """Of few and of many predictors, whose names and legend need more and more room."""
+    canvases, canvas_of = [], figure_module._canvas
+    monkeypatch.setattr(figure_module, "_canvas", lambda *size: canvases.append(canvas_of(*size)) or canvases[-1])
+    kinds = [*itertools.product(("euler", "heun", "rk4", "rosenbrock"), ("compiled",))]
+    kinds += [*itertools.product(("deeponet", "fno", "gru"), ("fused", "onnx", "torch"))]
+    heights = set()
+    for count in (3, 8, 9, 10, 13):
+        rows = [timing(name, runtime=kind, dx=dx, median_us=1e3 * dx * (k + 1), p999_us=1e4 * (k + 1), eps_sup=dx**k)
+                for k, (name, kind) in enumerate(kinds[:count]) for dx in (0.1, 0.01, 0.001)]  # fmt: skip
+        if style is SCREEN:
+            inline(figures.speed(rows).panels[-1], "a")
+        else:
+            write(figures.speed(rows), tmp_path, style, ("svg",))
+        with medium(style):
+            canvases[-1].draw_without_rendering()
+            for panel in canvases[-1].axes[:3]:
+                heights.add(round(panel.bbox.height / canvases[-1].dpi, 1))
+                for axis in (panel.xaxis, panel.yaxis):
+                    low, high = sorted(axis.get_view_interval())
+                    ticks = zip(axis.get_majorticklocs(), axis.get_ticklabels(), strict=True)
+                    boxes = [label.get_window_extent() for at, label in ticks if label.get_text() and low <= at <= high]
+                    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2)), (count, axis)
+    assert max(heights) - min(heights) < 0.15  # a legend takes no panel its height
 
 
 def test_speed_leaves_out_of_the_front_what_predicts_nothing():

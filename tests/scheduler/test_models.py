@@ -75,6 +75,17 @@ def test_a_network_of_a_file_is_trained_found_and_kept_by_what_the_file_holds(fi
     assert said.startswith("train mine: train.mine.network.source: ")
 
 
+def test_a_network_that_was_trained_with_set_is_loaded_with_the_same_settings(file: Path):
+    assert call("train", file, "-q", "--model", "small", "--set", "train.small.sizes.width=6").exit_code == 0
+    with pytest.raises(ConfigError, match=r"got none .* or give the --set that it was trained with, in Python `sett"):
+        npred.load(f"{file}:small")
+    model = npred.load(f"{file}:small", settings={"train.small.sizes.width": 6})
+    assert model([0.05, 20.0], [[0.0]] * 101, 1.0).shape == (101, 2)
+    (folder,) = (file.parent / "store/train").iterdir()
+    with pytest.raises(ConfigError, match="expected PIPELINE:MODEL, whose keys can be set, got a result"):
+        npred.load(str(folder), settings={"seed": 1})
+
+
 @pytest.mark.slow
 def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: Path, tmp_path: Path):
     pytest.importorskip("onnxruntime")

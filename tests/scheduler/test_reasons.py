@@ -117,9 +117,14 @@ def evaluate_question(**tables):
 
 def test_each_key_of_a_real_loop_enters_the_question():
     plain = evaluate_question()
-    defaults = {"actuator": "measured", "measurement": {"noise": 0.0}, "disturbance": {"omega": 1.0}, "truth": {}}
+    defaults = {
+        "actuator": "measured",
+        "measurement": {"relative_noise": 0.0},
+        "disturbance": {"omega": 1.0},
+        "truth": {},
+    }
     assert evaluate_question(evaluate=defaults | {"scenarios": []}) == plain
-    for key, value in {"actuator": "history", "measurement": {"noise": 0.1}, "truth": {"a": 0.6},
+    for key, value in {"actuator": "history", "measurement": {"relative_noise": 0.1}, "truth": {"a": 0.6},
                        "disturbance": {"amplitude": 0.1}, "scenarios": [{"name": "a"}]}.items():  # fmt: skip
         changed = evaluate_question(evaluate={key: value})
         assert {name for name in changed if changed[name] != plain[name]} == {key}

@@ -270,7 +270,7 @@ class Declared:
             "^generate.redraw, evaluate.map_D, evaluate.map_D_hat0: expected none, .*; leave them out$",
         ),
         ({"evaluate": {"scenarios": [{"name": "a", "jump": {"to": 1, "at": 3}}]}}, r"^evaluate.scenarios\[0\].jump:"),
-        ({"evaluate": {"scenarios": [{"name": "a", "noise": 0.1}]}}, None),
+        ({"evaluate": {"scenarios": [{"name": "a", "relative_noise": 0.1}]}}, None),
         ({"generate": {"predictor": "picard"}}, "expected a delay that is a number, .*; set generate.predictor"),
     ],
 )  # fmt: skip

@@ -18,6 +18,7 @@ from npred.base.errors import MissingError
 from npred.lab import config
 from npred.lab.config.results import Benched, Evaluated, PredictorId
 from npred.lab.config.results.bench import Stops
+from npred.lab.config.results.evaluate import POOR, Coverage
 from npred.lab.stages.bench import bench
 from npred.lab.stages.evaluate import accuracy, behaviour, evaluate
 from npred.lab.stages.generate import generate
@@ -257,6 +258,17 @@ def test_loops_that_leave_the_data_are_warned_of(evaluated):
     warned = [line for line in task.progress.notes if "outside" in line]
     loud = [c for q in result["coverage"].values() for c, share in q["outside"].items() if share > behaviour.OUTSIDE]
     assert len(warned) == len(loud) and set(shares) == {"deeponet@1", "deeponet", "fno"}
+
+
+@pytest.mark.parametrize(("rel_l2", "cure"), [(POOR, "it predicts poorly, train it longer first"), (POOR / 2, "widen")])
+def test_a_poor_network_is_to_blame_for_its_loops_before_data_and_bounds_are(rel_l2, cure):
+    said, t, X = [], np.linspace(0, 1, 11), np.zeros((4, 11, 2))
+    task: Any = types.SimpleNamespace(plant=PLANT, progress=types.SimpleNamespace(warn=said.append))
+    run = dataclasses.replace(still(t, X), D_hat=np.full((4, 11), 0.1), ends=(0.1, 2.0))
+    covered = {"x1": Coverage.of({"data": [0.0, 1.0], "outside": {"fno": 1.0}}, "a test")}
+    scored: Any = {FNO: types.SimpleNamespace(rel_l2=rel_l2, fallback=None)}
+    evaluate._warn(task, types.SimpleNamespace(cases=slice(0, 4)), covered, {FNO: run}, scored)
+    assert len(said) == 2 and all(cure in line for line in said) and "D_hat ended at its bound in 4 of 4" in said[1]
 
 
 def still(t, X):

@@ -45,7 +45,7 @@ def loops(plant: Plant, aims: Plant, X: np.ndarray, D: float, T: float) -> tuple
             tau[k] = (2 + r / (1 + r)) * T
         else:
             tau[k] = t[outside[-1] + 1] if outside.size else 0.0
-            E[k] = (square[1:, k] + square[:-1, k]).sum() / 2 * DT / T
+            E[k] = (square[1:, k] + square[:-1, k]).sum() / 2 * DT
     return tau, E
 
 

@@ -16,6 +16,9 @@ extern "C" {
 
 #define NPRED_DIGEST "0000000000000000000000000000000000000000000000000000000000000000"
 
+/* The time of a control step, in the unit of t. */
+#include "period.h"
+
 enum {
 #include "sizes.h"
     NPRED_OK = 0,

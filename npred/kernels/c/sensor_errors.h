@@ -24,18 +24,18 @@ static inline double normal(int64_t seed, int64_t loop, int64_t number, int64_t 
 }
 
 /* What sensors make of `count` components of x, one lane of `lanes`, in sample `number` of a loop:
- * y = q(x (1 + noise ξ) + absolute η + bias), where q rounds to the nearest multiple of the resolution, half to even.
+ * y = q(x (1 + relative_noise ξ) + noise η + bias), where q rounds to the nearest multiple of the resolution, half to even.
  * IEEE 754's remainder is exact, where a quotient would be rounded first. */
 static inline void read_sensors(int count, int lanes, const Settings *s, int64_t loop, int64_t number, const double *x,
                                 double *y)
 {
     for (int c = 0; c < count; c++) {
         double value = x[c * lanes];
-        if (s->noise[c] != 0.0) {
-            value *= 1.0 + s->noise[c] * normal(s->seed, loop, number, c, NOISE);
+        if (s->relative_noise[c] != 0.0) {
+            value *= 1.0 + s->relative_noise[c] * normal(s->seed, loop, number, c, NOISE);
         }
-        if (s->absolute[c] != 0.0) {
-            value += s->absolute[c] * normal(s->seed, loop, number, c, ABSOLUTE);
+        if (s->noise[c] != 0.0) {
+            value += s->noise[c] * normal(s->seed, loop, number, c, ABSOLUTE);
         }
         value += s->bias[c];
         y[c * lanes] = s->resolution[c] > 0.0 ? value - remainder(value, s->resolution[c]) : value;

@@ -7,7 +7,6 @@ from pydantic import Field, model_validator
 
 from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, Setpoint, StateObserver
 from npred.lab.config.section import (
-    Actuator,
     Bounds,
     Count,
     Delay,
@@ -20,6 +19,7 @@ from npred.lab.config.section import (
     Section,
     Some,
 )
+from npred.loop.loop import Actuator
 from npred.loop.measurement import Sensors
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
@@ -43,8 +43,8 @@ class Scenario(Section):
     """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
+    relative_noise: PerState | None = None  #: as measurement.relative_noise
     noise: PerState | None = None  #: as measurement.noise
-    absolute: PerState | None = None  #: as measurement.absolute
     bias: PerState | None = None  #: as measurement.bias
     resolution: PerState | None = None  #: as measurement.resolution
     period: Number | None = None  #: as measurement.period

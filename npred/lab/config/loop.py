@@ -8,7 +8,6 @@ from pydantic import model_validator
 from npred.base.errors import bytes_text
 from npred.base.registry import FROZEN, PAPER
 from npred.lab.config.section import (
-    Actuator,
     Bounds,
     Law,
     Method,
@@ -21,6 +20,7 @@ from npred.lab.config.section import (
     built,
 )
 from npred.loop import control_step
+from npred.loop.loop import Actuator
 from npred.loop.measurement import Sensors
 from npred.loop.safety import SafetyFilter
 from npred.loop.timing import ControlClock

@@ -84,7 +84,8 @@ class Bench(Section):
 class Tune(Section):
     """The search of `npred tune` in the loops of [evaluate].
 
-    gamma and b vary if a delay law adapts. A range with low > 0 has a logarithmic scale; low = high fixes the number.
+    gamma and b vary where the delay law has a use for them. A range with low > 0 has a logarithmic scale; low = high
+    fixes the number.
     """
 
     #: parameters that vary: those of kappa, not of f; of kappa = "lqr" also Q and R, their diagonals, or one as Q.x
@@ -93,7 +94,7 @@ class Tune(Section):
     bounds: dict[str, Span] = {}
     starts: Count = 8  #: random initial states of the search
     held_out: Annotated[int, Field(ge=2, le=2**53, strict=True)] = 16  #: initial states of the final judgement
-    evaluations: Count = 150  #: number of settings to try
+    evaluations: Count | None = None  #: number of settings to try; by default 60 for each number that is free
     effort: Delay = 0.1  #: weight of the control effort in the cost
     #: smallest gain that counts, as a share of the cost
     margin: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.05

@@ -21,7 +21,6 @@ Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
-Actuator = Literal["measured", "history"]
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:

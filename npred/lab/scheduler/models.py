@@ -1,7 +1,8 @@
 """Trained models and data by name: `pipeline/paper.toml:deeponet@107` to verified files of the store."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from npred.lab.config import Training
 from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
 from npred.lab.scheduler.plan import Planner, nodes
+from npred.lab.scheduler.runs import resolved
 from npred.lab.store import Artifact, Store
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset
@@ -35,8 +37,9 @@ class Stored(NamedTuple):
 
 
 def load(
-    model: str, *, store: str | Path | None = None, nx: int = 101, device: str = "cpu", runtime: str | None = None
-) -> Predictor:
+    model: str, *, settings: Mapping[str, Any] = {}, store: str | Path | None = None, nx: int = 101,
+    device: str = "cpu", runtime: str | None = None,
+) -> Predictor:  # fmt: skip
     """A trained model as a predictor.
 
     The compiled function is made at its first use in a loop or controller and kept on the disk. On a GPU, and for a
@@ -47,6 +50,9 @@ def load(
     ----------
     model : "pipeline/paper.toml:deeponet", "…:deeponet@107", or the path or key of an artifact
         The trained model.
+    settings : dict, optional
+        Keys of the pipeline, as those of the --set that it was trained with, with their values:
+        {"train.deeponet.epochs": 20}.
     store : str or Path, optional
         Folder of results; by default NPRED_STORE, else artifacts/. What it has is not made again.
     nx : int, default 101
@@ -74,7 +80,7 @@ def load(
     if not isinstance(model, str | Path):
         raise ConfigError(f"model: expected PIPELINE:MODEL, a path or a key, got {model!r}; write smoke:deeponet, say")
     devices.require(devices.resolve(device))
-    return loaded(load_model(str(model), Path(store) if store else None), nx, device, runtime)
+    return loaded(load_model(str(model), Path(store) if store else None, settings), nx, device, runtime)
 
 
 def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predictor:
@@ -87,11 +93,11 @@ def loaded(stored: Stored, nx: int, device: str, runtime: str | None) -> Predict
         return runtimes.predictor(runtime, stored.plant, operator, nx, stored.model, device)
 
 
-def load_model(spec: str, root: Path | None = None, overrides: list[str] | None = None) -> Stored:
+def load_model(spec: str, root: Path | None = None, overrides: list[str] | Mapping[str, Any] | None = None) -> Stored:
     """The trained model meant by `PIPELINE:MODEL`, `MODEL` (of the default pipeline), an artifact's folder or key.
 
-    Each may end in `@EPOCH`, for a snapshot; `overrides` of the pipeline are as for config.load.
-    Raises ConfigError where there is none, StoreError for corrupt files.
+    Each may end in `@EPOCH`, for a snapshot; `overrides` of the pipeline are as for config.load, or keys and values.
+    Raises ConfigError where there is none, and for overrides without a pipeline; StoreError for corrupt files.
     """
     store = Store(root or defaults.store())
     try:
@@ -103,12 +109,20 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | None 
         raise ConfigError(f"{spec}: expected PIPELINE:MODEL, got no model; write {spec}:deeponet, say")
     if colon or _of_default(name):
         file = defaults.pipeline(path)
-        pipeline = config.load(file, overrides)
+        by_key = isinstance(overrides, Mapping)
+        pipeline = resolved(file, overrides) if by_key else config.load(file, overrides)
         if name not in (names := pipeline.train.names):
             raise ConfigError(unlisted(f"{spec}: after the colon", name, names))
-        expected, todo = f"{file}:{name}: expected a trained model", f"npred train {file} --model {name}"
+        expected, todo = (
+            f"{file}:{name}: expected a trained model",
+            f"npred train {file} --model {name}, or give the --set that it was trained with, in Python `settings`",
+        )
         artifact = _last(pipeline, store, "train", name, expected, todo)
         plant, table = plants.resolve(*pipeline.of_plant), pipeline.train.table(name)
+    elif overrides:
+        raise ConfigError(
+            f"{spec}: expected PIPELINE:MODEL, whose keys can be set, got a result; leave out its settings"
+        )
     else:
         artifact, plant, table = store.find(name), None, None
     manifest, epoch = artifact.verify().manifest, asked.epoch

@@ -70,7 +70,7 @@ class PipelineFit:
             spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
         return max(time for span in spans for time in span)
 
-    def case(self, delay: float | None = None, nodes: int | None = None, u0: Any = None) -> Case:
+    def case(self, delay: float | None = None, nx: int | None = None, u0: Any = None) -> Case:
         """The case of the plant for the questions of npred.diagnosis, by default with the pipeline's settings."""
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
         table = evaluate if "generate" not in self.loops and "evaluate" in self.loops else generate
@@ -85,7 +85,7 @@ class PipelineFit:
             delay, source = diagnosis.longest(self.plant, asked)
         else:
             delay, source = self.longest_delay, "the longest delay or first estimate of the pipeline"
-        count, start = table.nx if nodes is None else nodes, table.u0 if u0 is None else u0
+        count, start = table.nx if nx is None else nx, table.u0 if u0 is None else u0
         return Case(self.plant, delay, count, diagnosis.SAMPLES, source, start, asked)
 
     def _adaptive(self, case: Case) -> AdaptiveLoops:
@@ -106,16 +106,16 @@ class PipelineFit:
 
 
 def check(
-    plant: Plant, pipeline: Pipeline, delay: float | None = None, nodes: int | None = None, u0: Any = None
+    plant: Plant, pipeline: Pipeline, delay: float | None = None, nx: int | None = None, u0: Any = None
 ) -> list[Answer]:
     """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant. Of a
     file with [evaluate] and no other stage, as a rig's, that table alone is asked.
 
-    Delay, nodes and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
+    Delay, nx and u0 take the place of the pipeline's. Raises ConfigError as npred.diagnosis.check does.
     """
     alone = pipeline.model_fields_set.intersection(STAGES) == {"evaluate"}
     fit = PipelineFit(plant, pipeline, ("evaluate",) if alone else STAGES)
-    case = fit.case(delay, nodes, u0)
+    case = fit.case(delay, nx, u0)
     inputs.start(plant, u0, case.limits)
     answers = diagnosis.answers(case)
     if plant.declares_kappa:

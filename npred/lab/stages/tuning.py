@@ -5,9 +5,10 @@ arXiv:1604.00772] searches on the training starts; each time that its best impro
 choose nothing.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Self
 
@@ -16,11 +17,12 @@ import numpy as np
 from npred import plants
 from npred.base import randomness
 from npred.base.errors import ConfigError, unlisted
+from npred.base.progress import duration
 from npred.formulas import programs
 from npred.formulas.trace import Trace
 from npred.lab.config import Pipeline, Scenario, Tune
 from npred.lab.config.conditions import Condition, adaptation, under
-from npred.lab.config.results import JudgedLoops, Tuned, TunedNumber
+from npred.lab.config.results import BeforeAfter, JudgedLoops, Tuned, TunedNumber
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import Console
 from npred.laws.design import Design
@@ -33,6 +35,7 @@ from npred.prediction.methods import numerical
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
 LETTERS = ("Q", "R")  # weights of kappa = "lqr"
+FIGURES = ("time", "peak", "effort")  # of Settling: what a gain is shown in
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
@@ -40,24 +43,30 @@ SPREAD = 0.25  # standard deviation that a search starts with, as a share of eac
 FAR = {"gamma": 100.0, "b": 100.0, "Q": 100.0, "R": 100.0}
 GAIN_FAR = 5.0  # … or, of a gain, by this
 RESAMPLES = 4000
+MOVED = 1e-6  # times size(X*): an equilibrium further away is another one
+TRIES = 60  # for each number that is free, by default
+LONGER = 2.0  # times the longest settling time at present, loops end
+LONG = 15.0  # s: a search that takes longer says so beforehand
 
 
 class Settling(NamedTuple):
-    """Loops from S initial states, K of each: `time`, `effort` and whether each settles, (S, K); see `of`."""
+    """Loops from S initial states, K of each: `time`, `effort`, `peak` and whether each settles, (S, K); see `of`."""
 
     time: np.ndarray
     effort: np.ndarray
+    peak: np.ndarray
     settled: np.ndarray
 
     @classmethod
     def of(cls, loops: Trajectories, plant: Plant, states: int, limited: bool = False) -> "Settling":
-        """The loops (states * K,) against the target X* and input U* of `plant`, whatever was tuned in them.
+        """The loops (states * K,) of `plant` against its target X* and input U*.
 
         time: of the first step from which |X - X*| stays within 1 % of size(X*) (npred.loop.metrics). A loop that does
         not settle in T = t_end has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth:
         from 2 T to 3 T, less where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to
         4 T. If `limited`, a loop that breaks a limit of the plant does not settle.
-        effort: the mean of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
+        effort: the integral of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
+        peak: the largest |X - X*|.
         """
         target, t_end = metrics.target(plant, loops), float(loops.t[-1])
         time, near = metrics.settle_time(loops, target), metrics.radius(loops, target) / metrics.size(target)
@@ -68,14 +77,16 @@ class Settling(NamedTuple):
         with np.errstate(invalid="ignore", over="ignore"):
             lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
             U = plant.u_target(loops.t) if loops.u_target is None else loops.u_target
-            effort = np.trapezoid(np.sum((loops.U - U) ** 2, axis=-1), loops.t) / t_end
-        columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), settled
+            effort = np.trapezoid(np.sum((loops.U - U) ** 2, axis=-1), loops.t)
+            peak = np.linalg.norm(loops.X - target, axis=-1).max(axis=-1)
+        columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), peak, settled
         return cls(*(a.reshape(states, -1) for a in columns))
 
     @classmethod
     def failed(cls, like: "Settling", t_end: float) -> "Settling":
         """Loops that cannot be simulated: as lost as one that leaves the finite numbers at once."""
-        return cls(np.full_like(like.time, 4 * t_end), np.full_like(like.effort, np.inf), like.settled & False)
+        lost = np.full_like(like.effort, np.inf)
+        return cls(np.full_like(like.time, 4 * t_end), lost, lost, like.settled & False)
 
 
 @dataclass(frozen=True)
@@ -104,12 +115,16 @@ class Yardstick:
 
 @dataclass(frozen=True)
 class Loops:
-    """The cases of [evaluate] and its scenarios from `states` random initial states of the box, drawn by `purpose`."""
+    """The cases of [evaluate] and its scenarios from `states` random initial states of the box, drawn by `purpose`.
+
+    They end at `t_end`, by default at case_t_end.
+    """
 
     pipeline: Pipeline
     plant: Plant
     states: int
     purpose: str
+    t_end: float = np.inf
 
     @cached_property
     def conditions(self) -> list[Condition]:
@@ -117,7 +132,8 @@ class Loops:
         seed = randomness.integer(self.pipeline.seed, "tune", self.purpose)
         table = self.pipeline.evaluate.model_copy(update={"case_states": self.states})
         drawn = self.pipeline.model_copy(update={"seed": seed, "evaluate": table})
-        return [under(self.plant, drawn, scenario) for scenario in (CASES, *table.scenarios)]
+        conditions = [under(self.plant, drawn, scenario) for scenario in (CASES, *table.scenarios)]
+        return [replace(each, t_end=min(each.t_end, self.t_end)) for each in conditions]
 
     @property
     def steps(self) -> int:
@@ -131,9 +147,8 @@ class Loops:
             law: dict[str, Any] = {name: numbers[name] for name in LAW if name in numbers}
             table = condition.table.model_copy(update=law)
             predictor = numerical(table.predictor, plant, table.nx)
-            changed = Condition(table, condition.X0, condition.D, condition.D_hat, condition.t_end, condition.seed)
-            loops = changed.loops(plant, predictor, progress=progress)  # every step: a law may ripple between
-            parts.append(Settling.of(loops, self.plant, self.states, limited=condition.table.safety is not None))
+            loops = replace(condition, table=table).loops(plant, predictor, progress=progress)  # a law may ripple
+            parts.append(Settling.of(loops, plant, self.states, limited=condition.table.safety is not None))
         return Settling(*(np.concatenate(column, axis=1) for column in zip(*parts, strict=True)))
 
 
@@ -219,7 +234,7 @@ class Ranges:
 
     @classmethod
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
-        """Those of a pipeline. Raises ConfigError for a name that is no gain, and where nothing is free."""
+        """Those of a pipeline. Raises ConfigError for a name that is no gain, and for one that moves the rest."""
         law = adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name not in LAW or law is None]
         weights = LqrWeights.of(plant)
@@ -232,11 +247,34 @@ class Ranges:
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
         spans = {name: _span(name, value, table.bounds) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
-        if not free:
-            names = ", ".join(offered) if plant.traced else "none"
-            raise ConfigError(f"free: expected something to tune, got nothing; name gains of kappa, here: {names}")
-        low, high = np.array([spans[name] for name in free], dtype=float).T
+        for name in free:
+            if moved := _moved(plant, name, spans[name]):
+                cure = "set it yourself, or write a law whose rest is the same for each gain"
+                raise ConfigError(f"free: expected gains, got {name}, which moves the rest {moved}; {cure}")
+        low, high = np.array([spans[name] for name in free], dtype=float).reshape(-1, 2).T
         return cls(free, low, high)
+
+    def acting(self, loops: "Loops", present: Settling, table: Tune, progress: Progress) -> "Ranges":
+        """Those whose other end changes a loop: gamma and b go, if they are not named, where the delay law has no use
+        for them. Raises ConfigError for a name that changes nothing, and where nothing is left.
+        """
+        ends = zip(self.present.items(), self.low.tolist(), self.high.tolist(), strict=True)
+        keep = []
+        for (name, value), low, high in ends:
+            try:
+                other = loops.run({**self.present, name: low if low != value else high}, progress)
+            except ConfigError:  # a law without an equilibrium
+                other = Settling.failed(present, 0.0)
+            keep.append(any(not np.array_equal(*pair) for pair in zip(present, other, strict=True)))
+            if not keep[-1] and name in (*table.free, *table.bounds):
+                what = f"free: expected numbers that change the loops, got {name}, which changes nothing in them"
+                raise ConfigError(f"{what}; leave it out")
+        free = {name: value for (name, value), acts in zip(self.present.items(), keep, strict=True) if acts}
+        if not free:
+            names = ", ".join(gains(loops.plant)) if loops.plant.traced else ""
+            what = "free: expected something to tune, got nothing that changes the loops"
+            raise ConfigError(f"{what}; name gains of kappa, here: {names or 'none'}")
+        return Ranges(free, self.low[keep], self.high[keep])
 
     def numbers(self, z: np.ndarray) -> dict[str, float]:
         """The numbers at z (k,) in [0, 1], on a logarithmic scale where low > 0."""
@@ -250,6 +288,22 @@ class Ranges:
         ends = zip(self.low, self.high, np.clip([*self.present.values()], self.low, self.high), strict=True)
         z = [np.log(x / low) / np.log(high / low) if low > 0 else (x - low) / (high - low) for low, high, x in ends]
         return np.array(z)
+
+
+def _moved(plant: Plant, name: str, span: tuple[float, float]) -> str:
+    """`from x = 1 to x = 2` where an end of the parameter's range has another rest; "" for all other numbers."""
+    if name not in plant.parameters or not plant.rests:
+        return ""
+    here = plant.equilibrium
+    for value in span:
+        try:
+            there = plants.varied(plant, ((name, value),)).equilibrium
+        except ConfigError:  # no equilibrium, so nothing to rest at
+            continue
+        if np.linalg.norm(there - here) > MOVED * metrics.size(here):
+            k = int(np.argmax(np.abs(there - here)))
+            return f"from {plant.states[k]} = {here[k]:.4g} to {there[k]:.4g}"
+    return ""
 
 
 def _span(name: str, value: float, bounds: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
@@ -281,18 +335,27 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
     threads.
 
     The cost is the mean over the loops of [evaluate]'s cases and of all its scenarios, each from the same initial
-    states, of time / T_0 + effort weight * E / (E + E_0): see Yardstick. There is something to gain
-    where the held-out cost falls by the share `margin` or more, and 95 % of its bootstrap over initial states is above
-    0. Deterministic by the pipeline's seed, for any number of jobs. Raises ConfigError for what cannot be tuned.
+    states, of time / T_0 + effort weight * E / (E + E_0): see Yardstick. Loops end at LONGER times the longest settling
+    time at present, if all settle. It is a gain where the held-out cost falls by the share `margin`
+    or more, and 95 % of its bootstrap over initial states is above 0; and a figure of the loops falls as clearly: the
+    settling time, the effort, or the number of loops that do not settle. Deterministic by the pipeline's seed, for any
+    number of jobs. Raises ConfigError for what cannot be tuned.
     """
     table, console = pipeline.tune or Tune(), console or Console(quiet=True)
     ranges = Ranges.of(pipeline, plant, table)
     loops = Loops(pipeline, plant, table.starts, "training")
     judges = Loops(pipeline, plant, table.held_out, "held out")
-    total = (table.evaluations + 1) * loops.steps + judges.steps
     tried, interrupted = 0, False
-    with console.bar("tune", total, "steps") as bar, ThreadPoolExecutor(jobs) as pool:
-        training, held_out = (each.run(ranges.present, bar.advance) for each in (loops, judges))
+    training = loops.run(ranges.present, _stoppable)  # compiles too, which no estimate of the time is to count
+    ranges = ranges.acting(loops, training, table, _stoppable)
+    held_out = judges.run(ranges.present, _stoppable)
+    if training.settled.all() and held_out.settled.all():
+        longest = float(max(training.time.max(), held_out.time.max()))
+        t_end = _whole(LONGER * longest, pipeline.evaluate.dt)
+        loops, judges = (replace(each, t_end=t_end) for each in (loops, judges))
+        training, held_out = (each.run(ranges.present, _stoppable) for each in (loops, judges))
+    tries = table.evaluations or TRIES * len(ranges.low)
+    with console.bar("tune", tries * loops.steps, "steps") as bar, ThreadPoolExecutor(jobs) as pool:
         yardstick = Yardstick.of(training, table.effort, pipeline.evaluate.dt)
         before = best = _Best(dict(ranges.present), float(yardstick.costs(training).mean()), training, held_out)
 
@@ -305,18 +368,22 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
 
         def costs(asked: list[dict[str, float]]) -> list[float]:
             nonlocal best, tried
+            begin = console.clock()
             outcomes = list(pool.map(outcome, asked))
             mean_costs = [float(yardstick.costs(each).mean()) for each in outcomes]
+            seconds = (console.clock() - begin) / len(asked) * tries
+            if not tried and seconds > LONG:
+                console.note(f"tune: {tries} tries, about {duration(seconds)}; tune.evaluations says how many")
             tried += len(mean_costs)
             k = int(np.argmin(mean_costs))
             if mean_costs[k] < best.cost:
-                judged = judges.run(asked[k], lambda steps: interruption.check())
+                judged = judges.run(asked[k], _stoppable)
                 best = _Best(asked[k], mean_costs[k], outcomes[k], judged)
                 console.detail(f"tune: cost {mean_costs[k]:.4g} after {tried}: {said(asked[k])}")
             return mean_costs
 
         try:
-            _search(ranges, costs, table.evaluations, randomness.generator(pipeline.seed, "tune", "search"))
+            _search(ranges, costs, tries, randomness.generator(pipeline.seed, "tune", "search"))
         except KeyboardInterrupt:
             interrupted = True
             console.stop()
@@ -325,19 +392,20 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
         TunedNumber(name=name, before=ranges.present[name], after=best.numbers[name], low=low, high=high)
         for name, low, high in spans
     ]
-    rng = randomness.generator(pipeline.seed, "tune", "bootstrap")
-    gain, interval = gained(yardstick.costs(before.held_out), yardstick.costs(best.held_out), rng)
-    enough = gain >= table.margin and interval[0] > 0
-    spread = f"{gain:.1%} on held-out starts, with 95 % between {interval[0]:.1%} and {interval[1]:.1%}"
-    answer = f"{said(best.numbers)}: the cost falls by {spread}"
-    if not enough:
-        spread = f"the best of {tried} tries lowers the cost by {spread}; {table.margin:.1%} would count"
-        answer = f"nothing to gain: {spread}"
+    judged = _judged(yardstick, before.held_out, best.held_out, pipeline.seed)
+    figures = {"settling time": judged.settle_time, "peak": judged.peak, "effort": judged.effort}
+    better = judged.settle_time.falls or judged.effort.falls or judged.unsettled[1] < judged.unsettled[0]
+    gained = judged.cost.falls and (judged.cost.gain or 0.0) >= table.margin and better
+    if gained:
+        changes = [f"{name} {figure.change()}" for name, figure in ({"the cost": judged.cost} | figures).items()]
+        answer = f"{said(best.numbers)}: on held-out starts {', '.join(changes)}"
+    else:
+        fallen = f"with the best of {tried} tries the cost {judged.cost.change()} on held-out starts"
+        answer = f"no clear gain: {fallen}; it takes {table.margin:.1%}, and a shorter settling time or less effort"
     return Tuned(
-        pipeline=pipeline.name, plant=plant.name, numbers=numbers, gain=gain, interval=interval, margin=table.margin,
-        training=_judged(yardstick, before.training, best.training),
-        held_out=_judged(yardstick, before.held_out, best.held_out),
-        gained=enough, evaluations=tried, interrupted=interrupted,
+        pipeline=pipeline.name, plant=plant.name, numbers=numbers, margin=table.margin,
+        training=_judged(yardstick, before.training, best.training, pipeline.seed), held_out=judged, gained=gained,
+        evaluations=tried, interrupted=interrupted,
         sentence=f"interrupted after {tried} tries; {answer}" if interrupted else answer,
     )  # fmt: skip
 
@@ -351,7 +419,7 @@ def _search(
     """
     import cma  # it takes a while
 
-    tried, start, size = 0, ranges.start(), 4 + int(3 * np.log(max(len(ranges.low), 2)))
+    tried, start, size = 0, ranges.start(), _points(len(ranges.low))
     options: dict[str, Any] = {"bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}
     options["randn"] = lambda *shape: rng.standard_normal(shape)
     while tried + size <= evaluations:
@@ -364,12 +432,38 @@ def _search(
         start, size = rng.uniform(size=len(start)), 2 * size
 
 
-def gained(before: np.ndarray, after: np.ndarray, rng: np.random.Generator) -> tuple[float, tuple[float, float]]:
-    """1 - mean after / mean before of costs (S, K), and its interval of 95 %: initial states drawn again, in pairs."""
-    pairs = np.stack([before.mean(axis=1), after.mean(axis=1)])
-    drawn = pairs[:, rng.integers(0, pairs.shape[1], (RESAMPLES, pairs.shape[1]))].mean(axis=-1)
+def _points(numbers: int) -> int:
+    """Settings per generation of CMA-ES."""
+    return 4 + int(3 * np.log(max(numbers, 2)))
+
+
+def _whole(seconds: float, dt: float) -> float:
+    """A time in whole control steps, at least ten, not shorter than that."""
+    return max(10, math.ceil(seconds / dt)) * dt
+
+
+def _stoppable(steps: int) -> None:
+    interruption.check()
+
+
+def compared(before: np.ndarray, after: np.ndarray, rng: np.random.Generator) -> BeforeAfter:
+    """The means of two arrays (S, K) of loops, and the gain 1 - after / before of the means.
+
+    The interval of 95 % is that of initial states drawn again, in pairs. A loop that is NaN in either is left out.
+    """
+    both = ~np.isnan(before + after)
+    if not both.any():
+        return BeforeAfter(before=None, after=None, gain=None, interval=None)
+    means = float(before[both].mean()), float(after[both].mean())
+    sums = np.stack([np.where(both, each, 0.0).sum(axis=1) for each in (before, after)])
+    drawn = sums[:, rng.integers(0, sums.shape[1], (RESAMPLES, sums.shape[1]))].sum(axis=-1)
+    drawn = drawn[:, drawn[0] > 0]
+    if not drawn.size:
+        return BeforeAfter(before=means[0], after=means[1], gain=None, interval=None)
     low, high = np.quantile(1 - drawn[1] / drawn[0], [0.025, 0.975])
-    return float(1 - pairs[1].mean() / pairs[0].mean()), (float(low), float(high))
+    return BeforeAfter(
+        before=means[0], after=means[1], gain=1 - means[1] / means[0], interval=(float(low), float(high))
+    )  # fmt: skip
 
 
 def said(numbers: Mapping[str, float]) -> str:
@@ -377,12 +471,15 @@ def said(numbers: Mapping[str, float]) -> str:
     return ", ".join(f"{name} = {value:.4g}" for name, value in numbers.items())
 
 
-def _judged(yardstick: Yardstick, before: Settling, after: Settling) -> JudgedLoops:
-    times = [each.time[each.settled] for each in (before, after)]
-    mean, mean_after = (float(settled.mean()) if settled.size else None for settled in times)
+def _judged(yardstick: Yardstick, before: Settling, after: Settling, seed: int) -> JudgedLoops:
+    """The cost over all loops, the figures over those that settle before and after."""
+    both = before.settled & after.settled
+    pairs = {name: [np.where(both, getattr(each, name), np.nan) for each in (before, after)] for name in FIGURES}
+    pairs["cost"] = [yardstick.costs(each) for each in (before, after)]
+    figures = {
+        name: compared(old, new, randomness.generator(seed, "tune", "bootstrap")) for name, (old, new) in pairs.items()
+    }
     return JudgedLoops(
-        loops=before.time.size,
-        cost=(float(yardstick.costs(before).mean()), float(yardstick.costs(after).mean())),
-        settle_time=(mean, mean_after),
-        unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),
-    )
+        loops=before.time.size, cost=figures["cost"], settle_time=figures["time"], peak=figures["peak"],
+        effort=figures["effort"], unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),
+    )  # fmt: skip

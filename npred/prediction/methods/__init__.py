@@ -1,5 +1,7 @@
 """Predictors: maps from (X, u, D_hat) to P."""
 
+from typing import Literal
+
 from npred.base.errors import ConfigError
 from npred.base.registry import METHODS
 from npred.plants.base import Plant, require
@@ -8,6 +10,8 @@ from npred.prediction.methods.picard import Picard
 from npred.prediction.methods.runge_kutta import RK4, Euler, Heun
 
 __all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical", "predictor"]
+
+Method = Literal["euler", "heun", "rk4", "rosenbrock", "semi_implicit", "picard", "rollout"]  # those of the registry
 
 
 def method(spec: str, what: str = "predictor") -> type[Predictor]:
@@ -21,15 +25,15 @@ def method(spec: str, what: str = "predictor") -> type[Predictor]:
     return kind
 
 
-def predictor(method: str, plant: Plant, nx: int = 101) -> Predictor:
+def predictor(plant: Plant, method: Method | str, nx: int = 101) -> Predictor:
     """The numerical predictor of a plant, on nx nodes in a loop [DAPF, eq. 10].
 
     Parameters
     ----------
-    method : "euler", "heun", "rk4", "picard", one of a package, or a class of a file, "my_method.py:Ralston"
-        The method.
     plant : Plant
         From npred.plant.
+    method : "euler", "heun", "rk4", "picard", one of a package, or a class of a file, "my_method.py:Ralston"
+        The method.
     nx : int, default 101
         Nodes on [0, 1], both ends included.
 

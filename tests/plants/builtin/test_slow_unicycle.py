@@ -34,12 +34,12 @@ def test_derivatives_equal_differences():
 @pytest.mark.parametrize(("dt", "expected"), [(0.04, 0.00541761), (0.02, 0.00271765)])
 def test_predictions_are_as_far_from_the_state_as_a_public_reimplementation_prints(dt, expected):
     """The largest |P2(t) - X(t + D_2)| up to 100 s: P takes the law between its samples, the robot holds it."""
-    loop = npred.simulate(PLANT, npred.predictor("rk4", PLANT, nx=201), D=D, D_hat=D, X0=START, t_end=100.0, dt=dt)
+    loop = npred.simulate(PLANT, npred.predictor(PLANT, "rk4", nx=201), D=D, D_hat=D, X0=START, t_end=100.0, dt=dt)
     ahead = round(D / dt)
     assert np.abs(loop.P[:-ahead] - loop.X[ahead:]).max() == pytest.approx(expected, abs=6e-9)
     np.testing.assert_allclose(loop.U[0], [-0.664906519, -0.645494470], atol=6e-10)
 
 
 def test_the_plant_in_the_loop_is_that_of_an_independent_solver():
-    loop = npred.simulate(PLANT, npred.predictor("rk4", PLANT, nx=51), D=D, D_hat=D, X0=START, t_end=5.0, dt=0.02)
+    loop = npred.simulate(PLANT, npred.predictor(PLANT, "rk4", nx=51), D=D, D_hat=D, X0=START, t_end=5.0, dt=0.02)
     np.testing.assert_allclose(loop.X, plant_claims.replayed(PLANT, loop, (EARLY, D)), rtol=0, atol=1e-7)

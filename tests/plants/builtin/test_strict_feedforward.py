@@ -18,7 +18,7 @@ class TestClaims(plant_claims.Claims):
 
 def test_the_loop_of_the_second_order_plant_is_its_formula():
     loop = npred.simulate(
-        TWO, npred.predictor("rk4", TWO), D=1.0, D_hat=1.0, X0=feedforward_closed_form.Z0, t_end=8.0, dt=0.005
+        TWO, npred.predictor(TWO, "rk4"), D=1.0, D_hat=1.0, X0=feedforward_closed_form.Z0, t_end=8.0, dt=0.005
     )
     np.testing.assert_allclose(loop.X, feedforward_closed_form.closed_form(loop.t), atol=2e-3)
 
@@ -59,7 +59,7 @@ def test_V_of_the_third_order_plant_falls_as_it_says():
 def test_the_prediction_of_the_third_order_plant_is_a_polynomial_for_a_held_command():
     """With ζ = z2 - z3² / 2: z3 = c + u s, ζ' = z3, z1' = ζ + 3 z3² / 2, each integrated by hand over the delay s."""
     s, u = 0.8, 0.7
-    P = npred.predictor("rk4", THREE, nx=101)(X, np.full((101, 1), u), s)[:, -1]
+    P = npred.predictor(THREE, "rk4", nx=101)(X, np.full((101, 1), u), s)[:, -1]
     a, b, c = X.T
     last, zeta = c + u * s, b - c**2 / 2
     first = a + zeta * s + c * s**2 / 2 + u * s**3 / 6 + (last**3 - c**3) / (2 * u)

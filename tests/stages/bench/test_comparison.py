@@ -29,7 +29,7 @@ class Growth:
 @pytest.fixture(scope="module")
 def compared():
     plant = npred.plants.Plant("growth", Growth)
-    runs = {f"euler {nx}": npred.predictor("euler", plant, nx) for nx in (11, 21, 41)}
+    runs = {f"euler {nx}": npred.predictor(plant, "euler", nx) for nx in (11, 21, 41)}
     return npred.compare(plant, runs, X0=[1.0], t_end=8.0, D=0.5, D_hat=0.5, dt=0.01)
 
 
@@ -41,7 +41,7 @@ def test_the_errors_fall_with_the_order_of_the_method(compared):
 
 def test_the_loops_are_those_of_simulate(compared):
     plant = npred.plants.Plant("growth", Growth)
-    run = npred.simulate(plant, npred.predictor("euler", plant, 11), X0=[1.0], t_end=8.0, D=0.5, D_hat=0.5, dt=0.01)
+    run = npred.simulate(plant, npred.predictor(plant, "euler", 11), X0=[1.0], t_end=8.0, D=0.5, D_hat=0.5, dt=0.01)
     np.testing.assert_array_equal(compared.loops["euler 11"].X, run.X)
     row = compared.rows[0]
     assert row.radius == np.abs(run.X[run.t >= 7.2 - 1e-9]).max()
@@ -59,7 +59,7 @@ def test_table_data_frame_and_notebook(compared):
 
 def test_a_guard_saves_a_wrong_predictor():
     plant = npred.plant("activator_repressor")
-    euler = npred.predictor("euler", plant, 11)
+    euler = npred.predictor(plant, "euler", 11)
     guarded = npred.guarded(euler, 1e-6)
     about = {"D": 1.0, "D_hat": [0.8, 1.0], "X0": [0.03, 30.0], "t_end": 10.0}
     bare, safe = npred.compare(plant, {"bare": euler, "guarded": guarded}, **about).rows
@@ -67,7 +67,7 @@ def test_a_guard_saves_a_wrong_predictor():
 
 
 def test_names_of_a_list():
-    runs = [npred.predictor("rk4", PLANT, nx) for nx in (11, 21)] + [npred.predictor("heun", PLANT)]
+    runs = [npred.predictor(PLANT, "rk4", nx) for nx in (11, 21)] + [npred.predictor(PLANT, "heun")]
     assert list(comparison._named(runs)) == ["rk4, nx = 11", "rk4, nx = 21", "heun"]
     with pytest.raises(ConfigError, match="expected different ones, got heun, nx = 101; heun, nx = 101; name them"):
         comparison._named([runs[2]] * 2)
@@ -81,21 +81,21 @@ def test_what_is_no_predictor_is_refused(wrong):
 
 def test_what_is_no_plant_is_refused():
     with pytest.raises(ConfigError, match=r"plant: expected a Plant, got 'scalar'; make one with npred.plant"):
-        npred.compare("scalar", [npred.predictor("rk4", PLANT)], **LOOP)
+        npred.compare("scalar", [npred.predictor(PLANT, "rk4")], **LOOP)
 
 
 def test_loops_that_are_shorter_than_the_delay_leave_nothing_to_compare():
     with pytest.raises(ConfigError, match=r"t_end: expected loops longer than the delay 0.5, got 0.5; raise it"):
-        npred.compare(PLANT, [npred.predictor("rk4", PLANT)], **LOOP | {"t_end": 0.5})
+        npred.compare(PLANT, [npred.predictor(PLANT, "rk4")], **LOOP | {"t_end": 0.5})
 
 
 def test_a_delay_that_varies_and_one_that_the_plant_declares():
-    runs = [npred.predictor("rk4", PLANT)]
+    runs = [npred.predictor(PLANT, "rk4")]
     varying = npred.compare(PLANT, runs, **LOOP | {"D": lambda t: 0.5 + 0.1 * math.sin(t)})
     assert varying.rows[0].eps_sup < 1e-6
     declares = npred.plant("transport_tank")
     X0 = declares.target(0.0) * 1.01
-    declared = npred.compare(declares, [npred.predictor("rk4", declares)], X0=X0, t_end=5.0, dt=0.01)
+    declared = npred.compare(declares, [npred.predictor(declares, "rk4")], X0=X0, t_end=5.0, dt=0.01)
     assert declared.rows[0].eps_sup < 1e-3
 
 

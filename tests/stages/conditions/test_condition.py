@@ -21,12 +21,12 @@ CASES = {
     "nothing": ({}, {}),
     "history": ({"actuator": "history"}, {"actuator": "history"}),
     "sensors": (
-        {"measurement": {"noise": 0.02, "period": 0.05, "jitter": 0.1, "delay": 0.02, "drop": 0.1}},
-        {"measurement": npred.Measurement(0.02, 0.05, 0.1, 0.02, 0.1, seed=7)},
+        {"measurement": {"relative_noise": 0.02, "period": 0.05, "jitter": 0.1, "delay": 0.02, "drop": 0.1}},
+        {"measurement": npred.Measurement(0.0, 0.05, 0.1, 0.02, 0.1, relative_noise=0.02, seed=7)},
     ),
     "errors": (
-        {"measurement": {"absolute": [0.001, 0.5], "bias": [0.0, 0.1], "resolution": 0.002}},
-        {"measurement": npred.Measurement(absolute=[0.001, 0.5], bias=[0.0, 0.1], resolution=0.002, seed=7)},
+        {"measurement": {"noise": [0.001, 0.5], "bias": [0.0, 0.1], "resolution": 0.002}},
+        {"measurement": npred.Measurement(noise=[0.001, 0.5], bias=[0.0, 0.1], resolution=0.002, seed=7)},
     ),
     "truth": ({"truth": {"Ka": 0.042}}, {"truth": OTHER}),
     "disturbance": (
@@ -53,7 +53,7 @@ def test_a_table_runs_as_the_same_settings_in_python(name):
 
 
 def test_a_part_of_a_batch_has_the_noise_that_it_has_in_the_whole():
-    table = Evaluate.model_validate({"dt": 0.01, "measurement": {"noise": 0.05}})
+    table = Evaluate.model_validate({"dt": 0.01, "measurement": {"relative_noise": 0.05}})
     whole = run(table)
     condition = Condition(table, **START, D=np.ones(2), D_hat=np.full(2, 1.2), seed=7)
     part = condition.part(slice(1, 2)).loops(PLANT, RK4(PLANT, 21))

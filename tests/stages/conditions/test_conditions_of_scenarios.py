@@ -39,7 +39,7 @@ def test_a_scenario_may_have_a_clock():
     clock = {"jitter": 0.3, "lost": 0.2}
     scenario = Scenario.model_validate({"name": "a", "actuator": "history", "timing": clock, "delay": 0.05})
     plant = npred.plant("scalar")
-    predictor = npred.predictor("rk4", plant, nx=11)
+    predictor = npred.predictor(plant, "rk4", nx=11)
     condition = conditions.under(plant, pipeline, scenario)
     condition = replace(condition, D=np.full(3, condition.D))
     whole, part = condition.loops(plant, predictor), condition.part(slice(1, 3)).loops(plant, predictor)
@@ -60,6 +60,6 @@ def test_a_scenario_may_observe_the_state():
     scenario = {"name": "a", "actuator": "history", "observer": observer, "resolution": [0.01]}
     plant = npred.plant("chemostat")
     condition = conditions.under(plant, pipeline, Scenario.model_validate(scenario))
-    run = condition.loops(plant, npred.predictor("rk4", plant, nx=11))
+    run = condition.loops(plant, npred.predictor(plant, "rk4", nx=11))
     assert run.clock is not None and np.abs(run.clock.X_hat - run.X)[:, -1].max() < 0.03
     assert np.abs(run.X[:, -1] - plant.equilibrium).max() < 0.05

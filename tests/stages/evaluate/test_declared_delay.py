@@ -25,7 +25,7 @@ TABLES = {
     "generate": {"u0": "equilibrium", "bounds": (0.1, 4.0), "dt": 0.02, "t_end": 10.0},
     "evaluate": {"X0": [2.8, 25.0], "u0": "equilibrium", "dt": 0.02, "t_end": 10.0, "case_t_end": 12.0,
                  "case_D_hat0": [0.3, 0.5, 1.0, 1.5, 2.0],
-                 "scenarios": [{"name": "noise 1 %", "noise": 0.01}, {"name": "pipe", "parameters": {"L": 42.0}}]},
+                 "scenarios": [{"name": "noise", "relative_noise": 0.01}, {"name": "pipe", "parameters": {"L": 42.0}}]},
 }  # fmt: skip
 
 
@@ -70,7 +70,7 @@ def test_the_error_in_the_loop_has_no_delay_and_the_exact_predictor_hardly_any(s
 
 def test_scenarios_have_no_error_of_an_estimate(stages):
     result = Evaluated.read(stages["evaluate"].folder)
-    assert [one.name for one in result.scenarios] == ["noise 1 %", "pipe"]
+    assert [one.name for one in result.scenarios] == ["noise", "pipe"]
     assert all(does.D_error is None for one in result.scenarios for does in one.models.values())
     *_, table = tables = evaluate.details(result).split("\n\n")
     assert table.splitlines()[1].split()[:2] == ["scenario", "predictor"] and len(table.splitlines()) == 8

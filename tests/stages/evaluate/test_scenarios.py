@@ -19,7 +19,7 @@ from npred.prediction.methods import RK4
 PLANT = npred.plant(NAME)
 TABLES = [
     {"name": "as it is"},
-    {"name": "noise", "noise": 0.02, "period": 0.05},
+    {"name": "noise", "relative_noise": 0.02, "period": 0.05},
     {"name": "other plant", "parameters_scale": 1.03},
     {"name": "drift", "drift": {"amplitude": 0.2, "period": 3.0}, "actuator": "history"},
     {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "D_hat0": [0.4], "t_end": 8.0},

@@ -298,7 +298,7 @@ def test_redrawn_rows_are_off_the_loop_by_up_to_spread_and_by_far_less(tmp_path)
     )
 
 
-NOISY = {"measurement": {"noise": 0.02, "period": 0.1}, "actuator": "history"}
+NOISY = {"measurement": {"relative_noise": 0.02, "period": 0.1}, "actuator": "history"}
 
 
 def test_noise_is_the_rollouts_own_whatever_the_batches(tmp_path, monkeypatch):

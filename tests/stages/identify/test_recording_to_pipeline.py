@@ -161,6 +161,18 @@ def test_a_column_in_another_unit_is_said(folder: Path):
     sentence = "in the recording, and 0.5 to 2 in the plant's box: if the units differ, scale its column."
     assert sentence not in call("log.csv", *FLAGS).stdout
     assert sentence in call("log.csv", *FLAGS, "--scale", "level=100").stdout
+    plant = (folder / "my_plant.py").read_text()
+    (folder / "my_plant.py").write_text(plant.replace("    box,", '    units = {"h": "rad"}\n    box,'))
+    degrees = f"{sentence[:-1]}, from degrees by the factor 0.0174533."
+    assert degrees in call("log.csv", *FLAGS, "--scale", "level=57.3").stdout
+
+
+def test_files_are_named_after_the_pipeline_file_and_the_pipeline_stays(folder: Path):
+    (folder / "servo.toml").write_text('plant = "my_plant.py:Tank"\n[identify]\ndata = "log.csv"\n')
+    before = (folder / "servo.toml").read_text()
+    answer = json.loads(call("servo.toml", *FLAGS[2:], "--json").stdout)
+    assert answer["files"] == ["servo-identified.html", "servo-identified.toml"]
+    assert (folder / "servo.toml").read_text() == before
 
 
 def test_a_file_of_somebody_else_is_left_alone(folder: Path):

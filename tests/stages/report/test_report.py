@@ -2,6 +2,7 @@
 
 import csv
 import html
+import itertools
 import re
 import shutil
 import tomllib
@@ -11,9 +12,9 @@ from pathlib import Path
 
 import h5py
 import pytest
-from conftest import Call, document, one_line
+from conftest import HERE, Call, document, one_line
 from jobs import job
-from result_samples import BENCHED, ERRORS, RADIUS, evaluation, timing
+from result_samples import BENCHED, END, ERRORS, RADIUS, evaluation, timing
 
 from npred import plants
 from npred.base import json_files
@@ -22,11 +23,12 @@ from npred.cli.report import OWNER, PLACE
 from npred.lab import config
 from npred.lab.config.results import Benched, PredictorId
 from npred.lab.report.figures import EvaluationData
-from npred.lab.report.figures.notation import markup
 from npred.lab.report.figures.style import MEDIA
-from npred.lab.stages.report import report
+from npred.lab.scheduler.plan import STAGES
+from npred.lab.stages.report import report, tables
 from npred.lab.stages.report.report import PipelineResults, sentences
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
+from npred.plants.notation import markup
 
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
@@ -180,18 +182,35 @@ def test_headings_that_do_not_explain_themselves_are_explained_below_their_table
         assert columns[head].about and said in text
 
 
-def test_a_page_of_networks_that_do_not_predict_says_so(text, results, monkeypatch):
-    assert "No network here predicts well" in text  # two epochs
-    assert report._caution(results).split(": ")[1].startswith("the mean error is ")
-    monkeypatch.setattr(report, "POOR", 1e9)
-    assert report._caution(results) == ""
+def test_a_page_and_the_terminal_say_that_networks_do_not_predict_and_what_to_do(text, results, reported, monkeypatch):
+    caution = results.evaluated.caution  # two epochs
+    assert re.match(
+        "No network here predicts well: the mean error is .*% .* Train longer .*then on more samples", caution
+    )
+    assert caution in text and caution in STAGES["evaluate"].summary(results.evaluated.json_object(), 80)
+    assert caution == reported[1]["report"].artifact.result()["summary"][0]
+    monkeypatch.setattr("npred.lab.config.results.evaluate.POOR", 1e9)
+    assert results.evaluated.caution == ""
+
+
+def test_the_rows_of_the_readme_have_the_names_of_the_tables_that_it_names():
+    lines = (HERE.parent / "README.md").read_text().partition("| `npred evaluate --wide` |")[2].splitlines()[2:]
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in itertools.takewhile(bool, lines)]
+    evaluated = evaluation("numerical", "fno", figure1_bounded=END)
+    made = [table for table in (tables.accuracy(evaluated), tables.kinds(evaluated), tables.loops(evaluated)) if table]
+    heads = {re.sub(r"(?<=of )\d+$", "47", column.head) for table in made for column in table.columns}
+    for row in rows:
+        name = row.partition(" (num")[0].replace("\\|", "|")
+        quantity, _, kind = name.partition(", ")
+        assert name in heads or (quantity in heads and kind in evaluated.kinds), row
+    assert len(rows) == 8
 
 
 def test_three_sentences_bear_the_numbers(reported, text):
     result = reported[1]["report"].artifact.result()
-    assert len(result["summary"]) == 3 and result["bytes"] == len(text.encode())
+    assert len(result["summary"]) == 1 + 3 and result["bytes"] == len(text.encode())
     evaluated = reported[1]["evaluate"].artifact.result()
-    assert f"{evaluated['models']['fno']['eps_sup']:.2g}" in result["summary"][0]
+    assert f"{evaluated['models']['fno']['eps_sup']:.2g}" in result["summary"][1]
     assert all(sentence.replace("'", "&#39;") in text for sentence in result["summary"])
 
 

@@ -3,6 +3,7 @@
 from npred.lab.config.results.base import (
     NO_ADAPTATION,
     NUMERICAL,
+    BeforeAfter,
     Generated,
     IdentifiedResult,
     JudgedLoops,
@@ -20,5 +21,5 @@ from npred.lab.config.results.evaluate import Evaluated
 
 __all__ = [
     "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "PredictorId", "Evaluated", "Generated", "IdentifiedResult",
-    "JudgedLoops", "Reported", "Result", "Trained", "Tuned", "TunedNumber", "ranked",
+    "BeforeAfter", "JudgedLoops", "Reported", "Result", "Trained", "Tuned", "TunedNumber", "ranked",
 ]  # fmt: skip

@@ -160,7 +160,8 @@ class Trained(Result):
 class Reported(Result):
     """The page."""
 
-    summary: list[str]  #: three sentences: the error, the closed loop, the time of a call
+    #: three sentences: the error, the closed loop, the time of a call; a caution first where no network is good
+    summary: list[str]
     bytes: int  #: size of the page
 
 
@@ -195,27 +196,51 @@ class TunedNumber(Result):
     high: float  #: upper end
 
 
+class BeforeAfter(Result):
+    """A mean over loops, before and after; null where no loop has it."""
+
+    before: Number | None  #: the pipeline's
+    after: Number | None  #: with the new numbers
+    gain: Number | None  #: 1 - after / before
+    interval: tuple[Number, Number] | None  #: 95 % interval of the gain: bootstrap over the initial states, in pairs
+
+    @property
+    def falls(self) -> bool:
+        """True if it clearly falls: the interval is above 0."""
+        return self.interval is not None and self.interval[0] > 0
+
+    def change(self) -> str:
+        """`falls by 41.7% (39.9% to 43.3%)`, or that it does not clearly change."""
+        if self.gain is None or self.interval is None:
+            return "has no clear change"
+        low, high = self.interval
+        if low <= 0 <= high:
+            return f"has no clear change ({-high:+.1%} to {-low:+.1%})"
+        verb, ends = ("falls", (low, high)) if low > 0 else ("rises", (-high, -low))
+        return f"{verb} by {abs(self.gain):.1%} ({ends[0]:.1%} to {ends[1]:.1%})"
+
+
 class JudgedLoops(Result):
-    """Loops from the same starts under the same conditions, before and after."""
+    """Loops from the same starts under the same conditions; all but the cost of those that settle before and after."""
 
     loops: int  #: how many
-    cost: tuple[Number, Number]  #: mean over the loops
-    settle_time: tuple[Number | None, Number | None]  #: mean of those that settle, in the plant's unit; null for none
-    unsettled: tuple[int, int]  #: how many do not settle
+    cost: BeforeAfter  #: of all loops
+    settle_time: BeforeAfter  #: in the plant's unit of time
+    peak: BeforeAfter  #: largest |X - X*|, in the plant's units
+    effort: BeforeAfter  #: ∫ |U - U*|² dt
+    unsettled: tuple[int, int]  #: how many do not settle, before and after
 
 
 class Tuned(Result):
-    """The gain; pairs are before, after."""
+    """The best numbers, and whether they are a gain."""
 
     pipeline: str  #: its name
     plant: str  #: its name
     numbers: list[TunedNumber]  #: that were free
     training: JudgedLoops  #: from the starts of the search
     held_out: JudgedLoops  #: from others
-    gain: float  #: 1 - cost after / cost before on the held-out starts
-    interval: tuple[float, float]  #: 95 % interval of the gain: bootstrap over the held-out initial states, in pairs
     margin: float  #: least gain that counts
-    gained: bool  #: the gain reaches the margin, and its interval is above 0
+    gained: bool  #: the cost clearly falls by the margin, and with it settling time, effort or the loops that are lost
     evaluations: int  #: settings that were tried
     interrupted: bool  #: the search was ended before all were
     sentence: str  #: the answer

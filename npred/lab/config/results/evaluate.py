@@ -6,6 +6,8 @@ from pydantic import AliasChoices, Field
 
 from npred.lab.config.results.base import RANKED, Name, Number, Result
 
+POOR = 0.02  # relative L² error of a network: in pipelines that are meant to be used, less than a tenth of it
+
 
 class Relative(Result):
     """The largest error over x, divided by the distance from rest."""
@@ -165,3 +167,14 @@ class Evaluated(Result):
     models: Annotated[dict[Name, Scores], RANKED]  #: by NAME
     coverage: dict[str, Coverage]  #: by state, input and `D_hat`
     scenarios: list[Conditions] = []  #: the loops under other conditions
+
+    @property
+    def caution(self) -> str:
+        """A sentence where no network is good, as in a pipeline that only tests the chain; empty where one is."""
+        errors = [row.rel_l2 for each, row in self.models.items() if each.is_network and each.epoch is None]
+        if not errors or min(errors) < POOR:
+            return ""
+        return (
+            f"No network here predicts well: the mean error is {min(errors):.0%} of the state or more. Train longer "
+            "(epochs), then on more samples; until then take its numbers for a test of the program, not of networks."
+        )

@@ -9,9 +9,9 @@ from npred.lab.config.results import Certified, PredictorId
 from npred.lab.report.figures.evaluation_data import OF, ErrorArrays, EvaluationData
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves, legend
 from npred.lab.report.figures.loops import ends
-from npred.lab.report.figures.notation import common_unit, quantity, symbol, with_unit
 from npred.lab.report.figures.style import DOTTED, ROLES, Axes, lettered, line_of, log, power, short
 from npred.plants import Plant
+from npred.plants.notation import common_unit, quantity, symbol, with_unit
 
 BINS = 24
 CELLS = (18, 14)  # cells of the map over the first two states

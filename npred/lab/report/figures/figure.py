@@ -8,13 +8,13 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from npred.lab.config.results import PredictorId
-from npred.lab.report.figures.notation import SUBSCRIPT, plain
 from npred.lab.report.figures.style import (
     HANDLE,
     MEDIA,
@@ -28,6 +28,7 @@ from npred.lab.report.figures.style import (
     log,
     medium,
 )
+from npred.plants.notation import SUBSCRIPT, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
 DPI = 300
 LETTER, GAP = 0.47, 2.3  # widths of an M: a letter of a legend, and the room around an entry
+LINE = 1.6  # sizes of a letter: a line of a legend
 COLOURS = {light: role for role, (light, _) in ROLES.items()}
 
 
@@ -78,11 +80,11 @@ def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **l
         return np.where(np.isfinite(values) & (values > 0), values, np.nan) if side in logarithmic else values
 
     def draw(axis: Axes) -> None:
+        axis.set(xlabel=xlabel, **limits)  # first, or the range of lost loops is found too, and overflows
         for style, x, y, *lows in lines:
             axis.plot(shown("x", x), shown("y", y), **style.line)
             for low in lows:
                 axis.fill_between(x, shown("y", low), shown("y", y), color=style.colour, alpha=0.14, linewidth=0)
-        axis.set(xlabel=xlabel, **limits)
         log(axis, *logarithmic)
 
     return draw
@@ -101,7 +103,9 @@ def write(figure: Figure, folder: Path, style: Style = MEDIA["ieee2"], formats: 
     columns = min(style.columns, len(figure.panels))
     rows = -(-len(figure.panels) // columns)
     with medium(style):
-        canvas = _canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + 0.04 * style.font)
+        across = _legend_columns(figure.legend, style)
+        above = LINE * style.font / 72 * -(-len(figure.legend) // across)  # the legend, which takes no panel its height
+        canvas = _canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + above)
         axes = np.ravel(canvas.subplots(rows, columns, squeeze=False))
         for panel, axis in zip(figure.panels, axes, strict=False):
             panel.draw(axis)
@@ -110,12 +114,12 @@ def write(figure: Figure, folder: Path, style: Style = MEDIA["ieee2"], formats: 
             axis.set_visible(False)
         if figure.legend:
             lines = [Line2D([], [], label=entry.label, **entry.style.line) for entry in figure.legend]
-            canvas.legend(handles=lines, loc="outside upper center", ncols=_legend_columns(figure.legend, style))
+            canvas.legend(handles=lines, loc="outside upper center", ncols=across)
         for text in canvas.findobj(Text):
             text.set_text(lettered(text.get_text()))
         for line in canvas.findobj(Line2D):  # as thick beside the letters as on a page
             line.set_linewidth(style.font / SCREEN.font * line.get_linewidth())
-        canvas.draw_without_rendering()  # lays it out, which takes longest: once for all formats
+        _lay_out(canvas)  # which takes longest: once for all formats
         canvas.set_layout_engine(None)
         for form in formats:
             path = folder / f"{figure.name}.{form}"
@@ -130,6 +134,19 @@ def _canvas(width: float, height: float) -> "Canvas":
     canvas = Canvas(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(canvas)
     return canvas
+
+
+def _lay_out(canvas: "Canvas") -> None:
+    """Lay a figure out; names beside an axis that has no room for them are left to the legend."""
+    from matplotlib.ticker import FixedLocator, NullFormatter
+
+    canvas.draw_without_rendering()
+    for axis in [axis for panel in canvas.axes for axis in (panel.xaxis, panel.yaxis)]:
+        boxes = [label.get_window_extent() for label in axis.get_ticklabels()]
+        crowded = any(one.overlaps(other) for one, other in pairwise(boxes))
+        if crowded and isinstance(axis.get_major_locator(), FixedLocator):
+            axis.set_major_formatter(NullFormatter())
+            canvas.draw_without_rendering()
 
 
 def _legend_columns(entries: Sequence[LegendEntry], style: Style) -> int:
@@ -163,6 +180,8 @@ def inline(panel: Panel, prefix: str) -> str:
     with medium(SCREEN):
         canvas = _canvas(SCREEN.width, SCREEN.height)
         panel.draw(canvas.subplots())  # without its title: the page says it, in its type
+        _lay_out(canvas)
+        canvas.set_layout_engine(None)
         canvas.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     drawn = buffer.getvalue()
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", drawn[drawn.index("<svg") :], flags=re.DOTALL)

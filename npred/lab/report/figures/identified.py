@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves
-from npred.lab.report.figures.notation import quantity, timed
 from npred.lab.report.figures.style import DOTTED, ROLES, Axes, LineStyle, short
 from npred.plants import Plant
+from npred.plants.notation import quantity, timed
 
 BLUE, FILL = ROLES["blue"][0], ROLES["fill"][0]
 RECORDED, MODEL, COMMANDS = LineStyle("muted", (), 0, "."), LineStyle("blue", width=1.2), LineStyle("ink", width=1.2)

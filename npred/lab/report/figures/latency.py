@@ -51,10 +51,7 @@ def speed(rows: list[CallTimes]) -> Figure:
             axis.plot([finest.median_us, finest.p999_us], [position, position], color=style.colour, linewidth=1.2)
             for key, marker in TAIL.items():
                 axis.plot([getattr(finest, key)], [position], marker or style.marker, color=style.colour)
-        line = 1.2 * float(axis.yaxis.get_ticklabels()[0].get_fontsize())
-        room = axis.bbox.height * 72 / axis.figure.dpi / line  # labels that the axis has the height for
-        named = list(grids) if room > len(grids) else [""] * len(grids)  # else the legend has to do
-        axis.set(yticks=range(len(grids)), yticklabels=named, xlabel="µs per call")
+        axis.set(yticks=range(len(grids)), yticklabels=list(grids), xlabel="µs per call")
         axis.invert_yaxis()
         axis.grid(axis="y", visible=False)
         log(axis, "x")

@@ -12,10 +12,11 @@ from npred.lab.config.results import NUMERICAL, PredictorId
 from npred.lab.config.results.evaluate import Behaviour, Conditions, DelayMap
 from npred.lab.report.figures.evaluation_data import EvaluationData, Histogram
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, curves, legend
-from npred.lab.report.figures.notation import common_unit, quantity, symbol, timed, with_unit
 from npred.lab.report.figures.style import DOTTED, ROLES, Axes, LineStyle, line_of, log, short
 from npred.loop import lyapunov, metrics
+from npred.loop.trajectory_views import around
 from npred.plants import Plant
+from npred.plants.notation import common_unit, quantity, symbol, timed, with_unit
 
 GOAL = replace(DOTTED, width=0.8)
 ROUNDS = 30  # rounds of the fixed-point iteration for when a command acts
@@ -35,7 +36,7 @@ def figure1(evaluation: EvaluationData) -> Figure:
     for k, (name, goal) in enumerate(_goals(evaluation, t).items()):
         series = {predictor: values[:, k] for predictor, values in columns.items()}
         what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
-        span = _around([goal, *(series[predictor] for predictor in kept)], [*series.values()])
+        span = around([goal, *(series[predictor] for predictor in kept)], [*series.values()])
         ends = "; ".join(f"{predictor.label} {each[0]:.4g} to {each[-1]:.4g}" for predictor, each in series.items())
         title = what + quantity(plant, name)
         alt = f"{title} from t = 0 to {t[-1]:g}: {ends}."
@@ -104,20 +105,6 @@ def _goals(evaluation: EvaluationData, t: np.ndarray) -> dict[str, np.ndarray]:
     both = conditions.targets(plant, evaluation.config, t)[0], conditions.targets(plant, evaluation.config, acts)[1]
     X, u = (np.broadcast_to(goal, (len(t), goal.shape[-1])) for goal in both)
     return dict(zip((*plant.states, *plant.inputs, "D_hat"), (*X.T, *u.T, D), strict=True))
-
-
-def _around(series: list[np.ndarray], others: list[np.ndarray]) -> tuple[float, float]:
-    """The range of all series, and of those others that leave it by less than its height; with room on both sides."""
-
-    def span(values: np.ndarray) -> tuple[float, float] | None:
-        finite = values[np.isfinite(values)]
-        return (float(finite.min()), float(finite.max())) if len(finite) else None
-
-    low, high = span(np.concatenate(series)) or (0.0, 1.0)
-    near = [ends for ends in map(span, others) if ends and max(low - ends[0], ends[1] - high) < high - low]
-    low, high = min([low, *(a for a, _ in near)]), max([high, *(b for _, b in near)])
-    room = 0.15 * (high - low) or 1.0
-    return low - room, high + room
 
 
 def _over_time(plant: Plant, t: np.ndarray, values: dict[PredictorId, np.ndarray]) -> Callable[[Axes], None]:

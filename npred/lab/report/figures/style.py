@@ -10,7 +10,7 @@ import numpy as np
 
 from npred.base.registry import NETWORKS
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, PredictorId
-from npred.lab.report.figures.notation import SUPERSCRIPTS, mathematics
+from npred.plants.notation import SUPERSCRIPTS, mathematics
 
 if TYPE_CHECKING:  # takes a second
     import matplotlib.axes

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from npred.lab.report.figures.notation import PLAIN, RAISED, SUBSCRIPT, plain
 from npred.lab.report.figures.style import short
 from npred.lab.report.terminal.console import columns
+from npred.plants.notation import PLAIN, RAISED, SUBSCRIPT, plain
 
 LATEX = r"""% needs \usepackage{booktabs}
 \begin{tabular}{@alignment}

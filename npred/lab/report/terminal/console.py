@@ -12,14 +12,14 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self, TextIO
 
 from npred.base.errors import required
 from npred.base.json_files import escaped
-from npred.base.progress import counted
+from npred.base.progress import VARIABLE, counted
 from npred.lab.report.terminal import interruption, streams
 
 if TYPE_CHECKING:
@@ -113,6 +113,13 @@ class Console:
     view: "LiveView | None" = None
     events: Events | None = None
     log: RunLog | None = None
+    waited: set[str] = field(default_factory=set)
+    answered: bool = False
+
+    @property
+    def still(self) -> bool:
+        """True if it shows no progress: quiet, or NPRED_QUIET is set."""
+        return self.quiet or bool(os.environ.get(VARIABLE))
 
     def stop(self) -> None:
         """End the work of all threads at its next report of progress, as Ctrl-C ends that of the main one."""
@@ -125,11 +132,13 @@ class Console:
 
     def out(self, text: str) -> None:
         """Data for stdout, its lines folded to the screen. Raises NpredError where stdout is closed or full."""
+        self.answered = True
         streams.answer(streams.folded(streams.printable(text), self.width))
 
     def json(self, document: object) -> None:
         """One JSON document on stdout, with escapes for bytes a terminal obeys. Raises NpredError as `out` does."""
         text = json.dumps(document, indent=2, ensure_ascii=not streams.is_utf8(sys.stdout), allow_nan=False)
+        self.answered = True
         streams.answer("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
     def note(self, text: str) -> None:
@@ -137,8 +146,16 @@ class Console:
         self._line(text, shown=not self.quiet)
 
     def wait(self, text: str) -> None:
-        """A message that work takes long, unless the live view is there, which shows that work goes on."""
-        self._line(text, shown=not self.quiet and not self.view)
+        """A message that work takes long, unless the live view is there, which shows that work goes on.
+
+        What is to be expected "once per" something is said once in a run: many kernels are compiled for one plant.
+        """
+        often = text.rpartition(", ")[2]
+        if often.startswith("once per"):
+            if often in self.waited:
+                return
+            self.waited.add(often)
+        self._line(text, shown=not self.still and not self.view)
 
     def detail(self, text: str) -> None:
         """A message for those who asked for more, and for the log."""
@@ -166,7 +183,7 @@ class Console:
     @contextmanager
     def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
         """On a terminal a live view of these stages while the block runs; elsewhere nothing but the lines of `bar`."""
-        if self.quiet or not (streams.MESSAGES.isatty() and streams.is_utf8(streams.MESSAGES)):
+        if self.still or not (streams.MESSAGES.isatty() and streams.is_utf8(streams.MESSAGES)):
             yield
             return
         from npred.lab.report.terminal.live_view import LiveView
@@ -213,7 +230,7 @@ class Console:
             if not self.view:
                 stack.enter_context(self.watch("", []))
             shown = stack.enter_context(self.view.bar(title, total, done)) if self.view else None
-            line = self._logged if self.view or self.quiet else self._line
+            line = self._logged if self.view or self.still else self._line
             yield Bar(self, title, total, unit, done, line, shown)
 
     def _logged(self, text: str) -> None:

@@ -12,7 +12,7 @@ from npred.guard.guarded import Guarded, bare
 from npred.lab.config import FROZEN, Evaluate
 from npred.lab.config.conditions import EVERY, Condition, Starts, starts
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, Evaluated, PredictorId
-from npred.lab.config.results.evaluate import Coverage, KindErrors, KindSize, Scores
+from npred.lab.config.results.evaluate import POOR, Coverage, KindErrors, KindSize, Scores
 from npred.lab.report import figures
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.evaluate import accuracy, behaviour
@@ -112,7 +112,7 @@ def details(result: Evaluated, width: int | None = None) -> str:
 
 def _title(result: Evaluated) -> str:
     rows = f"{result.held_out} held-out samples ({result.held_out_kind}), {result.fresh} fresh ones"
-    return f"{result.plant}: {rows}, and closed loops"
+    return "\n\n".join(filter(None, [f"{result.plant}: {rows}, and closed loops", result.caution]))
 
 
 def load_network(job: Job, network_id: PredictorId) -> Predictor:
@@ -194,7 +194,12 @@ def _warn(
     job: Job, begin: Starts, covered: Mapping[str, Coverage], loops: Mapping[PredictorId, Trajectories],
     models: Mapping[PredictorId, Scores],
 ) -> None:  # fmt: skip
-    """Warn of loops that leave the data, that commands end, that stay at a bound, or that the guard answered."""
+    """Warn of loops that leave the data, that commands end, that stay at a bound, or that the guard answered.
+
+    Where a network itself is poor, its training is the cure, not the data or the bounds.
+    """
+    poor = {each for each, row in models.items() if each.is_network and row.rel_l2 >= POOR}
+    longer = "it predicts poorly, train it longer first"
     for quantity, cover in covered.items():
         cure = "widen generate's box, D or D_hat0"
         if job.plant.declares_delay:
@@ -206,11 +211,12 @@ def _warn(
                 low, high = cover.data
                 job.progress.warn(
                     f"{network_id.name}: {share:.1%} of the loops' steps have {quantity} outside the data's "
-                    f"[{low:.3g}, {high:.3g}]; {cure}"
+                    f"[{low:.3g}, {high:.3g}]; {longer if network_id in poor else cure}"
                 )
     behaviour.warn_of_overtaken(job.progress, {c: behaviour.overtaken(run) for c, run in loops.items()})
     for predictor_id, run in loops.items():
         if words := at_bound(run.part(begin.cases)):
+            words = f"{words.partition(' and ')[0]}; {longer}" if predictor_id in poor else words
             job.progress.warn(f"{predictor_id.label}, cases: {words}")
     for predictor_id, scores in models.items():
         if (scores.fallback or 0.0) > FALLBACKS:

@@ -4,8 +4,8 @@ from importlib.resources import files
 from typing import Any
 
 from npred.lab.report.figures.figure import inline
-from npred.lab.report.figures.notation import markup
 from npred.lab.report.figures.style import ROLES
+from npred.plants.notation import markup
 
 
 def filled(template: str, **values: Any) -> str:

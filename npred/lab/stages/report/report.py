@@ -25,7 +25,6 @@ from npred.lab.report import figures
 from npred.lab.report.figures import EvaluationData, Figure
 from npred.lab.report.figures.evaluation_data import OF
 from npred.lab.report.figures.latency import label
-from npred.lab.report.figures.notation import symbol
 from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Table
 from npred.lab.scheduler.job import Job
@@ -33,10 +32,10 @@ from npred.lab.stages.bench import bench
 from npred.lab.stages.report import html_page, tables, toml_text
 from npred.loop import metrics
 from npred.plants import Plant
+from npred.plants.notation import symbol
 
 NAME = "report.html"
 FOLDED = "speed"  # a table that is long
-POOR = 0.02  # relative L² error of a network: in pipelines that are meant to be used, less than a tenth of it
 CHAPTERS = (
     ("loop", "The closed loop", ("figure1_bounded", "figure1"), ("loops",)),
     ("radius", "Error and radius", ("certificate",), ()),
@@ -108,11 +107,12 @@ class PipelineResults:
 def run(job: Job) -> Reported:
     """Write report.html from the results of the other stages; the same bytes for the same results.
 
-    Inline SVG, style and script; nothing is loaded. Its three sentences are in the result.
+    Inline SVG, style and script; nothing is loaded. Its three sentences are in the result, and
+    before them a caution where no network is good.
     """
     results = PipelineResults(job.config, job.plant, job.inputs)
     job.progress.doing("report", "drawing")
-    text = sentences(job.plant, results.evaluated, results.benched)
+    text, caution = sentences(job.plant, results.evaluated, results.benched), results.evaluated.caution
     drawn, tabulated = results.figures(), results.tables()
     chapters = [
         {
@@ -138,7 +138,7 @@ def run(job: Job) -> Reported:
         name=config.name,
         about="; ".join(_about(plant, config.evaluate)),
         said=text,
-        caution=_caution(results),
+        caution=caution,
         chapters=chapters,
         folded=FOLDED,
         facts=facts,
@@ -146,23 +146,11 @@ def run(job: Job) -> Reported:
         settings=toml_text.dumps(config.with_file_names().model_dump()),
     )
     (job.folder / NAME).write_text(page, encoding="utf-8")
-    return Reported(summary=text, bytes=len(page.encode()))
+    return Reported(summary=[caution, *text] if caution else text, bytes=len(page.encode()))
 
 
 def summary(result: Reported, width: int | None = None) -> str:
     return "\n".join(result.summary)
-
-
-def _caution(results: PipelineResults) -> str:
-    """A sentence where no network is good, as in a pipeline that only tests the chain; empty where one is."""
-    models = results.evaluated.models.items()
-    errors = [scores.rel_l2 for each, scores in models if each.is_network and each.epoch is None]
-    if not errors or min(errors) < POOR:
-        return ""
-    return (
-        f"No network here predicts well: the mean error is {min(errors):.0%} of the state or more, after a training on "
-        f"{results.generated.samples:,} samples. Take its numbers for a test of the program, not of networks."
-    )
 
 
 def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
@@ -186,7 +174,13 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
     sensors = []
     for key, value in vars(config.measurement).items():
         if np.any(value):  # noise, jitter and drop are shares
-            unit = plant.time_unit if key in ("period", "delay") else "%" if key in ("noise", "jitter", "drop") else ""
+            unit = (
+                plant.time_unit
+                if key in ("period", "delay")
+                else "%"
+                if key in ("relative_noise", "jitter", "drop")
+                else ""
+            )
             numbers = [f"{100 * number if unit == '%' else number:g}" for number in np.atleast_1d(value)]
             sensors.append(f"{key} {' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip())
     if sensors:

@@ -11,9 +11,9 @@ from npred.lab.config.results.bench import CallTimes
 from npred.lab.config.results.evaluate import Coverage, Scores
 from npred.lab.report.figures.evaluation_data import OF
 from npred.lab.report.figures.latency import label
-from npred.lab.report.figures.notation import quantity, timed
 from npred.lab.report.figures.table import Column, Table
 from npred.plants import Plant
+from npred.plants.notation import quantity, timed
 
 ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε_{κ}", "rel_l2": "relative L²"}
 ABOUT = {

@@ -12,7 +12,8 @@ import npred
 from npred import plants
 from npred.cli import app
 from npred.lab.report import figures
-from npred.lab.report.figures.notation import (
+from npred.lab.report.figures.style import MEDIA, SCREEN, lettered, medium
+from npred.plants.notation import (
     common_unit,
     markup,
     mathematics,
@@ -23,7 +24,6 @@ from npred.lab.report.figures.notation import (
     symbol,
     timed,
 )
-from npred.lab.report.figures.style import MEDIA, SCREEN, lettered, medium
 
 TANK: Any = SimpleNamespace(
     labels={"h": "level h_{1}"}, units={"h": "m", "q": "m^3/h", "T": "K^-1"}, time_unit="h", declares_delay=False

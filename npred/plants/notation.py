@@ -7,7 +7,7 @@ import html
 import re
 from unicodedata import lookup
 
-from npred.plants import Plant
+from npred.plants.base import Plant
 
 SPELT = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|iota|kappa|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
 LETTER = re.compile(f"(?i:{SPELT})")
