@@ -159,7 +159,8 @@ def _closed(case: Case) -> Plant:
     functions: dict[str, Any] = {"f": f, "kappa": kappa}
     if not plant.traced:
         functions = {"f": f_of_rows, "kappa": kappa_of_rows}
-    parts = {name: getattr(plant, name) for name in ("states", "inputs", "parameters", "period", "guess", "traced")}
+    parts = {name: getattr(plant, name) for name in ("states", "inputs", "period", "guess", "traced")}
+    parts["parameters"] = dict(zip(plant.p_names, plant.p.tolist(), strict=True))
     parts |= {name: staticmethod(function) for name, function in functions.items()}
     return type(plant)(f"{plant.name}, controlled", type("Closed", (), parts), {}, plant.source)
 
