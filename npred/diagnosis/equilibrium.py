@@ -160,8 +160,8 @@ def _closed(case: Case) -> Plant:
     if not plant.traced:
         functions = {"f": f_of_rows, "kappa": kappa_of_rows}
     parts = {name: getattr(plant, name) for name in ("states", "inputs", "period", "guess", "traced")}
+    parts["parameters"] = dict(zip(plant.p_names, plant.p.tolist(), strict=True))
     parts |= {name: staticmethod(function) for name, function in functions.items()}
-    parts["parameters"] = dict(zip(plant.p_names, plant.p.tolist(), strict=True))  # a set-point's rest is one of them
     return type(plant)(f"{plant.name}, controlled", type("Closed", (), parts), {}, plant.source)
 
 

@@ -124,7 +124,8 @@ class Trajectories:
     ) -> Any:  # fmt: skip
         """States, inputs and D_hat over time, a panel each, all loops in each; `D` (...) adds the true delay, dashed.
 
-        `signals` chooses panels: "X", "U", "D_hat", or single states and inputs by name. `size` is that of the figure:
+        `signals` chooses panels: "X", "U", "D_hat", or single states and inputs by name; by default all, or those of
+        `ax`. `size` is that of the figure:
         width and height in inches, or "article", a column of 3.5 inches in letters of 7 points.
         Gives matplotlib's axes, one a panel; their figure is `axes[0].figure`, shown by matplotlib.pyplot.show().
         Loops are compared in one figure with a label each, which has one colour in all panels:

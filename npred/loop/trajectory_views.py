@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 DRAWN = 20  # loops, at most, in a notebook without a call
 SIGNALS = ("X", "U", "D_hat")
 TAIL, GROWTH, REACH = 0.1, 1.5, 100.0  # shares of the horizon; factors of |X|, and of a series' size
+LETTER, LINE = 0.6, 4.5  # of a legend: a letter, and a line with its gaps, as shares of the size of letters
 KEPT, LOST = "kept", "lost"  # the group of a loop's lines
 
 
@@ -70,6 +71,9 @@ def plot(
 
     Raises ConfigError for an `ax` that is not one axes for each panel, an unknown signal, or a size that is none.
     """
+    if ax is not None and signals == SIGNALS:  # those of the first loop
+        panels = [getattr(panel, "get_gid", str)() for panel in np.ravel(np.array(ax, dtype=object))]
+        signals = panels if all(name in dict(series(loops)) for name in panels) else signals
     named = _chosen(loops, signals)
     if ax is None:
         from matplotlib import pyplot
@@ -93,6 +97,7 @@ def plot(
         lines = panel.plot(loops.t, values.reshape(-1, len(loops.t)).T, linewidth=1.2, **colour)
         for line, left in zip(lines, leaves, strict=True):
             line.set_gid(LOST if left else KEPT)
+        panel.set_gid(name)
         panel.set_ylabel(_label(loops, name), fontsize=letters)
         panel.tick_params(labelsize=letters)
         panel.grid(visible=True, alpha=0.3)
@@ -105,7 +110,10 @@ def plot(
                 panel.axhline(delay, color="black", linestyle="--", linewidth=0.8)
     axes[-1].set_xlabel(f"t ({loops.time_unit})", fontsize=letters)
     if label is not None:  # above the panels, where no line is
-        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=letters)
+        longest = max(map(len, axes[0].get_legend_handles_labels()[1]))
+        room = 72 * axes[0].figure.bbox.width / axes[0].figure.dpi / letters  # in letters, beside which stands a line
+        columns = max(1, int(room / (LETTER * longest + LINE)))
+        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=letters)
     return axes
 
 

@@ -40,21 +40,6 @@ def test_built_in_plants_have_no_answer_of_no(name):
     assert [answer.check for answer in found if answer.check not in others] == expected
 
 
-def test_loops_of_a_set_point_s_law_are_checked():
-    class Cart:
-        states, inputs, parameters = ("x", "v"), ("u",), {"aim": 0.5}
-        box = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
-
-        def f(x, u, t, p, M):
-            return [x.v, u.u - 0.5 * x.v]
-
-        def setpoint(x, t, p, M):
-            return [x.x - p.aim]
-
-    found = answers(plants.plant(Cart, kappa="lqr"))
-    assert found["convergence"].verdict == "yes" and "x = 0.5" in found["equilibrium"].text
-
-
 @pytest.mark.parametrize(
     ("old", "new", "question", "words"),
     [

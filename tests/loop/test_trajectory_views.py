@@ -187,7 +187,7 @@ def test_a_plot_takes_axes_of_any_arrangement_and_refuses_too_few(one):
         figure, axes = pyplot.subplots(2, 2)
         assert list(one.plot(ax=axes)) == list(axes.flat) and axes[0, 0].get_legend() is None
         with pytest.raises(ConfigError, match=r"expected 4 matplotlib axes, for x1, x2, U, D_hat, got 2 axes"):
-            one.plot(ax=axes[0])
+            one.plot(ax=figure.subplots(2, 1))
         with pytest.raises(ConfigError, match=r"expected 4 matplotlib axes, .* got 'ax'"):
             one.plot(ax="ax")
         pyplot.close(figure)
@@ -231,8 +231,11 @@ def test_a_plot_has_the_signals_and_the_size_that_are_asked_for(one):
         np.testing.assert_array_equal(axes[1].lines[0].get_ydata(), one.X[:, 1])
         assert tuple(axes[0].figure.get_size_inches()) == (5, 4)
         axes = one.plot(signals="X", size="article", label="first")
-        one.plot(ax=axes, signals="X", label="second")
-        assert len(axes) == 2 and axes[0].figure.get_figwidth() == 3.5
+        for label in ("second", "a loop with a long name"):
+            one.plot(ax=axes, label=label)
+        assert [len(panel.lines) for panel in axes] == [3, 3] and axes[0].figure.get_figwidth() == 3.5
+        axes[0].figure.draw_without_rendering()
+        assert axes[0].get_legend().get_window_extent().x1 <= axes[0].figure.bbox.x1
         texts = [
             *axes[0].get_legend().get_texts(),
             *axes[1].get_xticklabels(),
