@@ -39,7 +39,7 @@ network = {
     "t_end": 2.0,
     "dt": 0.002,
     "measurement": npred.Measurement(
-        absolute=[2e-3, 0.2], period=0.004, drop=0.05
+        noise=[2e-3, 0.2], period=0.004, drop=0.05
     ),
 }
 
