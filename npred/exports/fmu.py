@@ -335,7 +335,7 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
         low, high = c_controller.D_hat_bounds(controller)
         first, about = (controller.D_hat,), "first estimate of the delay"
         high = min(high, LARGEST)
-        yield Variable("D_hat_start", "fixed", "D_HAT_START", first, about, plant.time_unit, low=low, high=high)
+        yield Variable("D_hat0", "fixed", "D_HAT0", first, about, plant.time_unit, low=low, high=high)
     if law is not None and controller.settings.gamma_dt > 0:
         yield Variable("gamma", "tunable", "GAMMA", (law.gamma,), "gain of the delay law", low=SMALLEST)
     if isinstance(predictor, Guarded):

@@ -212,7 +212,7 @@ def test_an_fmu_to_a_file(export, trained, version):
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
     assert (document["files"], document["fmi"], document["predictor"]) == (["tank.fmu"], version, "heun")
-    assert {"x1", "x2", "U", "D_hat", "D_hat_start", "gamma"} < set(document["variables"])
+    assert {"x1", "x2", "U", "D_hat", "D_hat0", "gamma"} < set(document["variables"])
     with zipfile.ZipFile("tank.fmu") as opened:
         assert document["token"] in opened.read("modelDescription.xml").decode()
         assert (document["libraries"] == []) == (c_files.compiler() is None)

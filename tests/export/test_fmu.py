@@ -334,7 +334,7 @@ def test_parameters_are_those_of_another_controller(instance, version):
     expected = npred.controller(
         other, Guarded(npred.predictor(other, "euler", 21), 1e-5), law, DT, D_hat=0.7, actuator="measured"
     )
-    parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat_start": 0.7}
+    parameters = {f"parameter.{name}": 1.1 * value, "gamma": 300.0, "tolerance": 1e-5, "D_hat0": 0.7}
     run = instance(doubting, version, **parameters)
     for x in states(50):
         np.testing.assert_allclose(run.step(x, np.zeros((21, 1))), expected.step(x, np.zeros((21, 1))), rtol=1e-12)
@@ -351,15 +351,15 @@ def test_parameters_may_change_while_it_runs_but_not_to_nonsense(instance):
             run.set(name, value)
         assert run.get(name) == before
     with pytest.raises(Exception, match="status 3"):
-        run.set("D_hat_start", 1.0)
+        run.set("D_hat0", 1.0)
     assert run.get("gamma") == 10.0 and len(run.messages) == 4
 
 
 def test_of_several_parameters_of_which_one_is_refused_none_is_set(instance):
     run = instance(heun)
     with pytest.raises(Exception, match="status 3"):
-        run._write([run.places["gamma"], run.places["D_hat_start"]], [10.0, -1.0])
-    assert run.get("gamma") == 1000.0 and run.get("D_hat_start") == 2.0
+        run._write([run.places["gamma"], run.places["D_hat0"]], [10.0, -1.0])
+    assert run.get("gamma") == 1000.0 and run.get("D_hat0") == 2.0
 
 
 def test_a_state_of_another_fmu_is_refused(instance):

@@ -210,9 +210,9 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
         const Variable *v = &variables[references[i]];
         memcpy(self->now.values + v->first, values, (size_t)v->size * sizeof *values);
     }
-#ifdef AT_D_HAT_START
+#ifdef AT_D_HAT0
     if (self->now.mode != STEPPING) {
-        self->now.values[AT_D_HAT] = self->now.values[AT_D_HAT_START];
+        self->now.values[AT_D_HAT] = self->now.values[AT_D_HAT0];
     }
 #endif
     return OK;
@@ -231,11 +231,11 @@ static int enter_initialization(Instance *self, double start)
 static int exit_initialization(Instance *self)
 {
     int code = npred_set_time(&self->controller, self->now.start);
-#ifdef AT_D_HAT_START
-    code = code == NPRED_OK ? npred_set_D_hat(&self->controller, (npred_real)self->now.values[AT_D_HAT_START]) : code;
+#ifdef AT_D_HAT0
+    code = code == NPRED_OK ? npred_set_D_hat(&self->controller, (npred_real)self->now.values[AT_D_HAT0]) : code;
 #endif
     self->now.mode = STEPPING;
-    return code == NPRED_OK ? OK : report(self, ERROR, "start: expected a D_hat_start within its bounds, got another");
+    return code == NPRED_OK ? OK : report(self, ERROR, "start: expected a D_hat0 within its bounds, got another");
 }
 
 static void copy_out(double *to, const npred_real *from, int numbers)
