@@ -215,7 +215,7 @@ def test_an_fmu_to_a_file(export, trained, version):
 def test_an_fmu_of_a_network_says_what_it_holds(export, monkeypatch):
     monkeypatch.setattr(c_files, "compiler", lambda: None)
     done = export("fmu", "-o", "net.fmu", "--nx", "21")
-    assert done.exit_code == 0 and "as FMI 3.0, sources only, for there is no C compiler here" in done.stdout
+    assert done.exit_code == 0 and "as FMI 3.0, sources only, because there is no C compiler here" in done.stdout
 
 
 @pytest.mark.parametrize(
