@@ -40,9 +40,10 @@ def format_command(form: str) -> Callable[..., None]:
     def write(
         options: Exporting,
         *,
-        key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.")],
+        key: Annotated[str, argument("KEY", "PIPELINE:MODEL, MODEL, or the folder or key of a result.")],
         output: Annotated[
-            Path | None, flag("The file, or the folder of a controller's; named by default.", "-o", "--output")
+            Path | None,
+            flag("The file, or a folder for `controller`; by default named after the model.", "-o", "--output"),
         ] = None,
         **values: Any,
     ) -> None:

@@ -35,13 +35,13 @@ def gc(
     options: Common,
     *,
     pipelines: Annotated[
-        list[Path] | None, argument(None, "Pipelines whose results stay; all in pipeline/ by default.")
+        list[Path] | None, argument(None, "Pipelines whose results stay; by default all in pipeline/.")
     ] = None,
     set: Annotated[
-        list[str] | None, flag("What a sweep was run with: its results stay as well.", "--set", word="KEY=VALUES")
+        list[str] | None, flag("The --set of a sweep whose results stay too.", "--set", word="KEY=VALUES")
     ] = None,
-    yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
-    device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
+    yes: Annotated[bool, flag("Delete the results that the plan names.", "--yes")] = False,
+    device: Annotated[str, flag("Device of the runs whose results stay: auto, cpu, cuda or cuda:N.")] = "auto",
 ) -> None:
     """The plan of what to delete, and with `yes` the deletion: of results that no pipeline and no grid needs.
 

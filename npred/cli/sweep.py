@@ -57,9 +57,9 @@ Table = list[dict[str, str | float | None]]
 def sweep(
     options: Running,
     *,
-    to: Annotated[str, flag("The last stage of each cell; bench for latencies.", word="STAGE")] = "evaluate",
+    to: Annotated[str, flag("The last stage of each cell; bench also measures latencies.", word="STAGE")] = "evaluate",
     output: Annotated[
-        Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
+        Path | None, flag("Folder for table and figure; by default sweep-NAME.", "-o", "--output", word="DIR")
     ] = None,
     csv: Annotated[bool, flag("Print the table as CSV.", "--csv")] = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""Held-out errors and closed loops: eps and the convergence radius."""
+"""Measure each network's error on held-out data, and simulate closed loops with it."""
 
 from typing import Any
 
