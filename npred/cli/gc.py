@@ -108,14 +108,14 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
     for root in roots:
         # To know what a file asks for its plant is run, which is code: not that of another user. Of a recording, and of
-        # a file that is broken now, what it last asked for stays.
+        # a file that is broken now, the results that it last used stay.
         try:
             if root.by_this_user and root.file.suffix == ".toml":
                 pipeline = config.load(root.file)
                 kept.add(Planner(pipeline, store, device), nodes(pipeline, STAGES))
                 continue
         except NpredError as error:
-            options.console.warn(f"{error}; what it last asked for stays")
+            options.console.warn(f"{error}; the results that it last used stay")
         kept.keys.update(root.keys)
     return kept
 
@@ -140,7 +140,7 @@ def _table(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) 
     if not plan:
         return "nothing to delete"
     rows = [[shortened(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
-    busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
+    busy = f", {len(plan) - len(deleted)} in use, not deleted" if len(deleted) < len(plan) else ""
     total = f"{sum(waste.bytes for waste in plan) / 1e6:.1f} MB"
     last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete, {total}; do it with --yes"
     return columns(["artifact", "size", "reason"], rows, width, numbers=["size"]) + f"\n{last}"

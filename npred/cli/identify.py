@@ -144,7 +144,7 @@ def identify(
         refusal = "the recording leaves no bounded range of the delay; give --longest, or record more steps"
     elif unknown and not accept:
         spans = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in unknown)
-        refusal = f"the recording does not tell the delay; --accept takes the range that is left, {spans}"
+        refusal = f"the recording does not determine the delay; --accept takes the possible range, {spans}"
         refusal = f"{refusal} {plant.time_unit}".rstrip()
     else:
         target = rewritable(path, "identify")

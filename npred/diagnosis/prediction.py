@@ -18,7 +18,7 @@ def needed(case: Case) -> Verdict:
     if exact.fails.any():
         return "warn", f"{where}: {each}; shrink box, or shorten D", figures
     if spares(exact, bare):
-        return "yes", f"you need no predictor: {where}: {each}", figures
+        return "yes", f"no predictor is needed: {where}: {each}", figures
     return "yes", f"{where}: {each}", figures
 
 
@@ -33,7 +33,7 @@ def spares(exact: Ensemble, bare: Ensemble) -> bool:
 
 
 def _said(each: Ensemble) -> str:
-    """What became of loops, and how far those that settle go past the target."""
+    """How loops end, and how far those that settle go past the target."""
     case, beyond = each.case, each.overshoot > HOME * each.case.width
     if not each.fate.settled.all() or not beyond.any():
         return each.text()

@@ -27,6 +27,7 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, Predictor
 
+HELD = "keep the actuator at the last U and pass the next sample"
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
 SIGMAS = 6.0  # standard deviations of an estimated output, times `outlier_limit`: beyond them it is not believed
@@ -356,7 +357,7 @@ class Controller(InNotebook):
         ConfigError
             For shapes and times that do not fit and for what are no real numbers, masked arrays among them.
         DivergedError
-            For a measurement that is not finite, or that the prediction leaves the finite numbers from.
+            For a measurement that is not finite, or from which the prediction overflows.
         """
         if (u is None) != self._reads_commands or (X is None and not self._reads_commands):
             expected, came = "X alone", "u too"
@@ -366,7 +367,7 @@ class Controller(InNotebook):
             raise ConfigError(f"step: {what}; give what is measured")
         now, gap, age = self._times(t, sampled_at)
         if applied is not None and not self.keeps_commands:
-            what = "expected a controller that keeps its commands, got one that is given u"
+            what = "expected a controller that reads u from its commands, got one that is given u"
             raise ConfigError(f"applied: {what}; omit it")
         sent = None if applied is None else array_checks.floats("applied", applied)
         if sent is not None and (sent.shape != (self.plant.m,) or not np.isfinite(sent).all()):
@@ -378,7 +379,7 @@ class Controller(InNotebook):
         before = None
         if self._awaits_X:
             if not came or not np.isfinite(self._Y).all():
-                raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
+                raise DivergedError(f"step: expected a finite first X, got none; {HELD}")
             before = self.state()
             past = self._past(self._Y)
             _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
@@ -591,7 +592,7 @@ class Controller(InNotebook):
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._reads_commands and seconds > self.longest_D_hat:
-            what = f"expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept"
+            what = f"expected at most {self.plant.time_text(self.reach)}, the length of the history"
             raise ConfigError(f"D_hat: {what}, got {seconds:g}; make another controller with that D_hat")
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
@@ -621,11 +622,11 @@ class Controller(InNotebook):
         reason = {
             engine.MEASUREMENT: "expected finite X and u, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
+            engine.TOO_LONG: f"expected a delay of at most {kept}, the length of the history, got {came:g}; "
             "raise history_length",
         }[code]
-        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent" if booked else ""
-        return f"step: {reason}; hold the last U and measure again{sent}"
+        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""
+        return f"step: {reason}; {HELD}{sent}"
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""

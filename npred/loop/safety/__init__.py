@@ -57,7 +57,7 @@ class SafetyFilter:
         if not self.serves(plant):
             raise ConfigError(
                 f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
-                "keep its limits in kappa"
+                "enforce its limits in kappa"
             )
         self.kernel(plant)
 

@@ -239,7 +239,8 @@ class Tuned(Result):
     training: JudgedLoops  #: from the starts of the search
     held_out: JudgedLoops  #: from others
     margin: float  #: least gain that counts
-    gained: bool  #: the cost clearly falls by the margin, and with it settling time, effort or the loops that are lost
+    #: the cost clearly falls by the margin, and with it settling time, effort, or the loops that do not settle
+    gained: bool
     evaluations: int  #: settings that were tried
     interrupted: bool  #: the search was ended before all were
     sentence: str  #: the answer

@@ -69,13 +69,15 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
             middle = time(delays[j], ".4g")
             remarks.append(f"The delay of {name} is not identifiable: it is the middle of its range, {middle}.")
     if delays[longest] < dt:
-        remarks.append(f"The delay is shorter than a control step, which a sampled loop has at least: D = {time(D)}.")
+        remarks.append(f"The delay is shorter than a control step, the least that a loop can have: D = {time(D)}.")
     if not observed:
-        remarks.append("The delay observer does not serve this plant, so D_hat stays where it begins.")
+        remarks.append("The delay observer does not work for this plant, so D_hat is constant.")
     differ = plant.m > 1 and (not plant.one_delay or np.ptp(delays) >= dt)
     if differ:
         each = ", ".join(f"{name} {time(_short(d))}" for name, d in zip(plant.inputs, delays, strict=True))
-        one = "D and D_hat are the longest; the others go with it." if plant.traced else "A black box has the longest."
+        one = (
+            "D and D_hat are the longest; the others move with it." if plant.traced else "A black box has the longest."
+        )
         remarks.append(f"The inputs have different delays: {each}. {one}")
 
     settled = SETTLED / slow / dt if slow > 0 else 0.0

@@ -6,7 +6,7 @@ from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
-    version=9,
+    version=10,
     upstream=("generate", "train", "evaluate", "certify", "bench"),
     result_class="npred.lab.config.results:Reported",
 )
