@@ -156,15 +156,15 @@ def converging(name: str, case: Case) -> Answer:
             settles = result
         if result.settled.all():
             break
-    parts = ["all" if shares[EIGHTHS] == 1 else f"{shares[EIGHTHS]:.0%}"]
+    parts = ["all converge" if shares[EIGHTHS] == 1 else f"{shares[EIGHTHS]:.0%} converge"]
     if shares.get(HALF, 1.0) < 1:
-        parts.append(f"from half of it {shares[HALF]:.0%}")
+        parts.append(f"{shares[HALF]:.0%} from half the box")
     if eighth < EIGHTHS:
-        all_from = f"from {eighth}/{EIGHTHS} of it, around {case.state(centre)}, all"
-        parts.append(all_from if shares[eighth] == 1 else "from no smaller box all")
+        all_from = f"all from {eighth}/{EIGHTHS} of the box around {case.state(centre)}"
+        parts.append(all_from if shares[eighth] == 1 else "not all from any smaller box")
     _, seconds, horizon = loops.times(case)
     looked = f"; they {settles.text(case)}" if settles.settled.any() else f" in {case.plant.time_text(seconds, '.3g')}"
     slow = f"; the slowest rate needs {horizon / seconds:.2g} times the simulated time"
     looked += slow if seconds < horizon else ""
     verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
-    return Answer(name, verdict, f"of {len(X0)} loops from the box, without delay, converge {', '.join(parts)}{looked}")
+    return Answer(name, verdict, f"{len(X0)} loops from the box, without delay: {', '.join(parts)}{looked}")

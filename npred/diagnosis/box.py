@@ -18,7 +18,7 @@ FINE = 1001  # nodes on which a stiff plant is still integrated
 def traced(case: Case) -> Verdict:
     """Whether the functions run on symbols, and return values of their shapes."""
     plant = case.plant
-    _ = plant.program, plant.rests  # they say so where a function fails
+    _ = plant.program, plant.rests  # these raise if a function fails
     names = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
     if not plant.traced:
         return "warn", f"{names}; its functions are called, not traced: slower, with differences as derivatives"

@@ -10,8 +10,8 @@ from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.loops import Ensemble, simulated
 from npred.estimation.observers import EKF
 
-SHARE = 0.1  # of the range of an input
-NEAR = 0.005  # of the box, 1 % of half of it: a smaller offset does not count
+SHARE = 0.1  # the disturbance, relative to the range of an input
+NEAR = 0.005  # relative to the box, 1 % of half of it: a smaller offset does not count
 
 
 def applies(case: Case) -> bool:

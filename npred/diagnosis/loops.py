@@ -223,7 +223,7 @@ class Ensemble:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """The same as numbers, by name."""
+        """How the loops end, as numbers by name."""
         states = self.case.plant.states
         return {
             "D_hat": self.D_hat,

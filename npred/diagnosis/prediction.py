@@ -9,7 +9,7 @@ SLOWER, FARTHER = 1.1, 0.05  # without a predictor, as good: at most so many tim
 
 
 def needed(case: Case) -> Verdict:
-    """What loops of D_hat = D do, and those of D_hat = 0."""
+    """How loops with D_hat = D end, and loops with D_hat = 0."""
     shown = case.plant.time_text
     exact, bare = ensemble(case, case.D), ensemble(case, 0.0)
     figures = {"D": case.D, "dt": step(case), "with": exact.figures, "without": bare.figures}

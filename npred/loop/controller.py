@@ -84,17 +84,17 @@ class Controller(InNotebook):
     those of npred.simulate up to rounding, and those of its export in C to the bit. Its memory is not shared, so one
     controller belongs to one thread; a pickled one goes on where it stood.
 
-    With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
-    further from it than `outlier_limit` times half the box, or |X_hat| where that is more, in any state, is not
-    believed: X_hat takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples
-    in a row for D_hat are, within six half widths of the box's middle, and ten times as far after each further
-    D_hat: X has jumped. `outlier_limit=None` believes all; so does a state without a box.
+    With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in any
+    state it is farther from X_hat than `outlier_limit` times half the box, or times |X_hat| if that is more. X_hat then
+    takes its place, `missed` counts it, and an observer of the delay goes on without it. If samples are refused for
+    D_hat seconds, X has jumped: the next one is accepted within six half widths of the box's middle, and ten times as
+    far after each further D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
     `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
-    believes an output within 6 `outlier_limit` standard deviations, and begins anew where it did not believe one for
-    D_hat. `watchdog` says what U is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
+    accepts an output within 6 `outlier_limit` standard deviations, and restarts if it refused one for D_hat seconds.
+    `watchdog` gives U if no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
     declares (npred.SafetyFilter); with an uncertain delay it needs "history".
 
     Raises ConfigError for parts that do not fit together.
@@ -137,7 +137,7 @@ class Controller(InNotebook):
         array_checks.within(
             "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
         )
-        if not plant.declares_delay:  # of a delay that is not known, the longest of the law
+        if not plant.declares_delay:
             longest = D_hat if law is None else law.bounds[1]
             if law is not None:
                 control_step.check("dt", dt, longest)
@@ -327,8 +327,8 @@ class Controller(InNotebook):
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
         The predictor integrates u, of which the update law compares the values at the nodes with kappa(P). `t`,
-        `sampled_at` and `applied` are for actuator="history". After a DivergedError the last U is to be held: with it
-        the time and the history of commands go on, and all else, U's memory too, stands as before.
+        `sampled_at` and `applied` are for actuator="history". After a DivergedError keep the actuator at the last U:
+        the controller assumes so, and its time goes on; nothing else has changed.
 
         Parameters
         ----------

@@ -108,7 +108,7 @@ def test_a_side_that_is_killed_ends_the_other_with_its_log_whole(start, tmp_path
     os.kill(both[place], signal.SIGKILL)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 1
-    assert "expected a whole run" in err
+    assert "expected a complete run" in err
     assert not any(map(runs, both))
     assert (assert_whole(path) == "# end: the plant is gone") == (place == 1)
 
@@ -178,7 +178,7 @@ def test_it_steps_the_set_points_of_the_table(start, tmp_path):
     (tmp_path / "servo.py").write_text(SERVO)
     table = PIPELINE.replace('"scalar"', '"servo.py:Servo"\nkappa = "lqr"')
     (tmp_path / "short.toml").write_text(table + "setpoints.aim = { at = [3.0], to = [1.5] }\n")
-    process = start("--seconds", "9", "--delay", "0.05")
+    process = start("--seconds", "9", "--latency", "0.05")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert json.loads(out)["radius"] < 0.15

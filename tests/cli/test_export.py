@@ -142,7 +142,9 @@ def test_a_controller_with_a_numerical_predictor(export, trained):
     flags = ("--predictor", "heun", "--precision", "float", "--actuator", "history", "--nx", "21")
     done = export("controller", *flags, model=str(trained / "p.toml"))
     assert done.exit_code == 0, done.output
-    assert "warning: the paper's law (12) is made for a measured u, and loses 16 of 30 loops" in done.stderr
+    assert (
+        "warning: the paper's law (12) is made for a measured u; with u from the commands 16 of 30 loops" in done.stderr
+    )
     assert "float precision" in done.stdout and "int npred_step(npred_controller *self, const float *X, float *U);" in (
         Path("npred/npred.h").read_text()
     )

@@ -35,7 +35,7 @@ from npred.prediction.methods import numerical
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
 LETTERS = ("Q", "R")  # weights of kappa = "lqr"
-FIGURES = ("time", "peak", "effort")  # of Settling: what a gain is shown in
+FIGURES = ("time", "peak", "effort")  # the attributes of Settling that are compared
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
@@ -103,7 +103,7 @@ class Yardstick:
 
     @classmethod
     def of(cls, present: Settling, weight: float, dt: float) -> "Yardstick":
-        """That of these loops; a time is at least dt, and an effort above 0."""
+        """The yardstick of these loops; a time is at least dt, and an effort above 0."""
         efforts = present.effort[present.settled]
         effort = float(efforts.mean()) if efforts.size else 1.0
         return cls(max(float(present.time.mean()), dt), effort or 1.0, weight)
@@ -234,7 +234,7 @@ class Ranges:
 
     @classmethod
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
-        """Those of a pipeline. Raises ConfigError for a name that is no gain, and for one that moves the rest."""
+        """The ranges of a pipeline. Raises ConfigError for a name that is no gain, and for one that moves the rest."""
         law = adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name not in LAW or law is None]
         weights = LqrWeights.of(plant)
@@ -417,7 +417,7 @@ def _search(
 
     It needs two coordinates, so one that is alone gets one that changes nothing.
     """
-    import cma  # it takes a while
+    import cma  # slow to import
 
     tried, start, size = 0, ranges.start(), _points(len(ranges.low))
     options: dict[str, Any] = {"bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}

@@ -129,8 +129,8 @@ class Behaviour(Result):
 
     radius: Radii  #: over the cases
     settle_time: Number  #: the median over the cases, in the plant's unit of time
-    #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
-    #: that radii are relative to
+    #: loops that overflow, whose commands overtake each other, or that end farther away than a fifth of the size that
+    #: radii are relative to
     diverged: int
     overtaking: int = 0  #: those of them whose commands overtake each other
     #: the largest |D̂ − D| over the last tenth and the cases; `null` without an estimate

@@ -198,7 +198,7 @@ def crossover(
 
 
 def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
-    """The same method on as many steps as it needs for that median error."""
+    """The method with as many steps as it needs for that median error."""
     kind: Any = type(method.run)
     nodes = matching(reference, kind, eps, by="median")
     run = kind(method.run.plant, nodes) if nodes else None

@@ -1,4 +1,4 @@
-"""Whether a network could pay, before one is trained: methods of errors that networks reach, and an untrained one."""
+"""Whether a network could pay, before one is trained: methods with errors that networks reach, and an untrained one."""
 
 import numpy as np
 

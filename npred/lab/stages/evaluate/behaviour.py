@@ -212,7 +212,7 @@ def write_coverage(path: Path, plant: Plant, data: Dataset, loops: Mapping[Predi
     with h5py.File(path, "w") as opened:
         file: Any = opened
         for name, values in _quantities(plant, data.X, data.u, data.D_hat).items():
-            slack = MARGIN * np.ptp(values)  # what `coverage` counts as inside is in the picture
+            slack = MARGIN * np.ptp(values)  # the picture shows all that `coverage` counts as inside
             slack = slack or 0.01 * max(abs(values[0]), 1.0)  # a delay that is known has one value
             edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
             file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]
