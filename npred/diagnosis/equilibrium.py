@@ -98,7 +98,7 @@ def limited(case: Case) -> Verdict:
         widest = inputs.widest(case.plant, case.limits)
         within = source_lines.ranges(case.plant.inputs, widest)
         times = f"{inputs.SPARE:g} times the largest kappa of the box"
-        return "yes", f"none are declared; a controller keeps U within {within}, {times}"
+        return "yes", f"none are declared; a controller keeps {within}, {times}"
     with np.errstate(all="ignore"):
         U = case.plant.kappa(case.X)
     outside = (np.clip(U, *case.limits.T) != U).any(axis=-1)

@@ -11,7 +11,7 @@ class Status(NamedTuple):
     D_hat, D_hat_spread: the estimate of the delay, and half the range of the candidates that fit the samples as well;
     NaN without an observer of the delay.
     age: the age of the last used sample, infinity before the first.
-    innovation (outputs,): that sample minus the model's value, NaN before the first.
+    innovation (outputs,): the last sample minus the model's value, NaN before the first.
     late: number of samples that came after a newer one, or were older than `max_sample_age`. They were not used.
     refused: number of samples farther from the model than `outlier_limit` allows. missed: the latest of these in a row.
     renewed: how often the observer of the state restarted. offset (m,): its estimate of a constant added to U.

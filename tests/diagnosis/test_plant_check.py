@@ -210,7 +210,7 @@ def test_the_share_of_kappa_outside_the_bounds_is_said_and_the_clipped_loop_trie
     assert int(lost[1]) == pytest.approx(100 * (1 - 0.5 / 3), abs=10)
     free = answers(declared())["input bounds"]
     kept = re.fullmatch(
-        r"none are declared; a controller keeps U within u in \[-(\d+), (\d+)\], 10 times the .*", free.text
+        r"none are declared; a controller keeps u in \[-(\d+), (\d+)\], 10 times the .*", free.text
     )
     assert free.verdict == "yes" and kept and kept[1] == kept[2] and float(kept[1]) > 0
     wide = answers(declared(input_bounds=[(-6.0, 6.0)]))

@@ -89,7 +89,7 @@ typedef struct {
 /* The result of the last call.
  * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that fit the samples as well.
  * age: the age of the last sample that was used, infinity before the first.
- * innovation: that sample minus the model's value.
+ * innovation: the last sample minus the model's value.
  * late: number of samples that were too old, or came after a newer one. They were not used.
  * refused: number of samples too far from the model's value to be plausible; missed: the latest of these in a row.
  * renewed: how often the observer of the state restarted; offset: its estimate of a constant that is added to U.
