@@ -71,7 +71,7 @@ def outcome(plant: Plant, predictor: Predictor, condition: Condition, far: float
     """Which loops are lost, the largest distance from rest, and the share of steps with the numerical predictor."""
     loops = condition.loops(plant, predictor, every=EVERY)
     target = plant.target(loops.t)
-    lost = metrics.lost(loops, target, far)
+    lost = metrics.diverged(loops, target, far)
     return lost, float(np.nan_to_num(np.linalg.norm(loops.X - target, axis=-1), nan=np.inf).max()), loops.fallback_share
 
 
@@ -82,7 +82,7 @@ if __name__ == "__main__":
     parser.add_argument("--loops", type=int, default=64)
     parser.add_argument("--nx", type=int, default=NX, help="nodes of the network and of the numerical predictor")
     parser.add_argument("--only", nargs="*", default=[""], help="classes whose names have one of these words")
-    for name, default in (("t-end", 100.0), ("tolerance", 0.01), ("lost", metrics.LOST)):
+    for name, default in (("t-end", 100.0), ("tolerance", 0.01), ("lost", metrics.FAR)):
         parser.add_argument(f"--{name}", type=float, default=default)
     options = parser.parse_args()
     pipeline = config.load(Path(options.model.rsplit(":", 1)[0]))

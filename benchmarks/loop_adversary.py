@@ -96,7 +96,7 @@ def outcomes(predictor: Predictor, it: Condition, far: float) -> list[Outcome]:
     target = predictor.plant.target(loops.t)
     size = np.linalg.norm(loops.X - target, axis=-1)
     size = np.nan_to_num(size, nan=FAR, posinf=FAR) / max(float(np.abs(target).max()), 1e-9 if target.any() else 1.0)
-    ends = zip(metrics.lost(loops, target, far), size.max(axis=-1), size[:, -1], strict=True)
+    ends = zip(metrics.diverged(loops, target, far), size.max(axis=-1), size[:, -1], strict=True)
     return [Outcome(bool(lost), float(peak), float(end)) for lost, peak, end in ends]
 
 
@@ -123,7 +123,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     parser.add_argument("--loops", type=int, default=500)
-    for name, default in (("push", 0.5), ("spoof", 0.5), ("tolerance", 0.01), ("lost", metrics.LOST), ("t-end", 30.0)):
+    for name, default in (("push", 0.5), ("spoof", 0.5), ("tolerance", 0.01), ("lost", metrics.FAR), ("t-end", 30.0)):
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--again", type=float, default=None)
     parser.add_argument("--seed", type=int, default=1)

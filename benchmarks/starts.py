@@ -86,7 +86,7 @@ def outcome(
     nominal = Condition(pipeline.evaluate, X0, D, D_hat, t_end, SEED)
     for i in range(0, len(X0), BATCH):
         loops = nominal.part(slice(i, i + BATCH)).loops(predictor.plant, predictor, every=20)
-        lost.append(metrics.lost(loops, predictor.plant.target(loops.t), far))
+        lost.append(metrics.diverged(loops, predictor.plant.target(loops.t), far))
         shares.append(loops.fallback_share)
         print(f"\r{predictor.name}: {i + len(lost[-1])} of {len(X0)} loops", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
@@ -98,7 +98,7 @@ if __name__ == "__main__":
     parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
     for name, kind, default in (("loops", int, 10_000), ("box", float, 1.0), ("t-end", float, None)):
         parser.add_argument(f"--{name}", type=kind, default=default)
-    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", metrics.LOST), ("again", None)):
+    for name, default in (("tolerance", 0.01), ("damage", None), ("lost", metrics.FAR), ("again", None)):
         parser.add_argument(f"--{name}", type=float, default=default)
     parser.add_argument("--store", default="artifacts")
     options = parser.parse_args()

@@ -9,15 +9,15 @@ from npred.cli.options import Common, argument, flag
 def reproduce(
     options: Common,
     *,
-    names: Annotated[list[str] | None, argument("NAME", "Experiments; all by default.")] = None,
+    names: Annotated[list[str] | None, argument("NAME", "Experiments; by default all.")] = None,
     listed: Annotated[bool, flag("Print the experiments, and run nothing.", "--list")] = False,
-    numerical: Annotated[bool, flag("The rows of numerical predictors only.", "--numerical")] = False,
-    force: Annotated[bool, flag("Measure again what the store has.", "--force")] = False,
+    numerical: Annotated[bool, flag("Only the rows with numerical predictors.", "--numerical")] = False,
+    force: Annotated[bool, flag("Measure again even if the store has the result.", "--force")] = False,
     output: Annotated[
-        Path | None, flag("The page: HTML, or Markdown for a name that ends in .md.", "-o", "--output", word="FILE")
+        Path | None, flag("Write a page: HTML, or Markdown if the name ends in .md.", "-o", "--output", word="FILE")
     ] = None,
 ) -> None:
-    """Published experiments: each printed number beside the same loop run here, as published and as it is meant."""
+    """Repeat published experiments: each printed number beside the same loop run here, as published and as meant."""
     from npred_experiments.reproduce import reproduce
 
     reproduce(options, names, listed, numerical, force, output)

@@ -74,9 +74,7 @@ def read(path: Path) -> RigLog:
 
 
 def distance(plant: Plant, course: list[Piece], samples: dict[str, np.ndarray]) -> np.ndarray:
-    """|X - X*| of the plant at each sample, X* of the set-point of its time; infinity where a state has left the finite
-    numbers.
-    """
+    """|X - X*| of the plant at each sample, X* of the set-point of its time; infinity if a state is not finite."""
     order, goals = np.argsort(samples["t"]), np.empty((len(samples["t"]), plant.n))
     goals[order] = targets(plant, course, samples["t"][order])[0]
     gap = np.stack([samples[name] for name in truth(plant)], axis=-1) - goals

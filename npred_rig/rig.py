@@ -34,7 +34,7 @@ AHEAD = 0.1  # s from the agreement to the start
 
 
 def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
-    """Run it and report its log. Raises NpredError where a side was lost, UnmetError where the loop was."""
+    """Run it and report its log. Raises NpredError if a side ends early, UnmetError if the loop diverges."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
     channel = Channel(options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed)
@@ -45,20 +45,21 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     controller = _controller(options, plant, channel)
     setpoints, bounds = conditions.setpoints(options.config.evaluate), controller.settings.input_bounds
     course = settable.course(plant, setpoints, controller.fixed, bounds)
-    with interruption.graceful("interrupted; the log has all up to then"):
+    with interruption.graceful("interrupted; the log has everything up to then"):
         late = run(options, plant, controller, course, channel, path)
     written = log.read(path)
     if written.why != log.OVER:
-        raise NpredError(f"rig: expected a whole run, got an end, {written.why or 'a side was killed'}; read {path}")
+        why = written.why or "a side was killed"
+        raise NpredError(f"rig: expected a complete run, it ended early: {why}; read {path}")
     if plot:
         figures.write(log.figure(plant, plot.stem, written), plot.parent, MEDIA["page"], [plot.suffix[1:]])
     document = log.summary(plant, course, written, controller.dt) | log.micro("waits_late", late) | {"log": str(path)}
     rows = [[name, f"{x:.4g}" if isinstance(x, float) else str(x)] for name, x in document.items()]
     options.show_table(document, ("of the log", ""), rows)
-    near, radius = metrics.LOST * metrics.size(plant.target(0.0)), document["radius"]
+    near, radius = metrics.FAR * metrics.size(plant.target(0.0)), document["radius"]
     if radius is None or radius > max(log.distance(plant, course, written.samples)[0], near):
-        away = "that left the finite numbers" if radius is None else f"{radius:.3g} away at the end"
-        raise UnmetError(f"rig: expected a loop that stays, got one {away}; read {path}")
+        away = "that overflows" if radius is None else f"that ends {radius:.3g} away"
+        raise UnmetError(f"rig: expected a loop that stays near rest, got one {away}; read {path}")
 
 
 def run(
@@ -93,7 +94,7 @@ def run(
             try:
                 pipe.recv()
             except EOFError:
-                what = "expected three processes that begin, got one that ended"
+                what = "expected three processes to start, got one that ended"
                 raise NpredError(f"rig: {what}; read its message") from None
         start = time.monotonic() + AHEAD
         for pipe in ours:
@@ -128,7 +129,8 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
     if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
         cure = "leave it out, and describe the network by --latency, --jitter, --loss and --stops"
-        raise ConfigError(f"rig: expected no delays, losses or clock but its own, got {', '.join(keys)}; {cure}")
+        what = "expected no delays, losses and clock besides those of the rig"
+        raise ConfigError(f"rig: {what}, got {', '.join(keys)}; {cure}")
     if table.X0:
         loop_checks.start(plant, np.array(table.X0))
     observer = controller.observer

@@ -201,7 +201,7 @@ class _Engine:
         for k, kind in enumerate(map(kinds, self.model.jnt_type)):
             if kind not in (kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE):
                 name, got = self._name("joint", k), kind.name.removeprefix("mjJNT_").lower()
-                cure = f"lock=({name!r},) if it is mounted; what walks, drives or flies is not taken"
+                cure = f"lock=({name!r},) if it is mounted; walking, driving or flying is not supported"
                 raise _NotTaken(f"joint {name}: expected type hinge or slide, got {got}; {cure}")
         if not self.model.njnt:
             raise _NotTaken("expected a joint that moves, found none; fix the file")

@@ -214,8 +214,8 @@ class _Tree:
         if len(leaving) > 1 and not mounted and self.base != "world" and (mass := sum(m for m, _, _ in carried)) > 0:
             limbs = ", ".join(name for name, _, _ in leaving)
             what = f"expected an arm, got a base {self.base} of {mass:g} kg that {limbs} move against"
-            raise _Wrong(what, "mounted=True if it is bound to the ground (what walks, drives or flies is not taken), "
-                         "tip=LINK for one arm of it")  # fmt: skip
+            raise _Wrong(what, "mounted=True if it is fixed to the ground (walking, driving or flying is not "
+                         "supported), tip=LINK for one arm of it")  # fmt: skip
         waiting = [(-1, *joint) for joint in reversed(leaving)]
         moving: list[tuple[int, str, np.ndarray, np.ndarray, list[Any]]] = []
         while waiting:
@@ -312,7 +312,7 @@ def _body(
 ) -> Body:  # fmt: skip
     name, kind = _attribute(joint, "name"), joint.get("type", "")
     if kind == "floating":
-        cure = f"lock=({name!r},) if it is mounted; what walks, drives or flies is not taken"
+        cure = f"lock=({name!r},) if it is mounted; walking, driving or flying is not supported"
         raise _Wrong(f"joint {name}: expected an arm, got a base that floats", cure)
     if kind not in MOVING:
         raise _Wrong(unlisted(f"joint {name}", kind, (*MOVING, "fixed"), "a type of"), f"or lock=({name!r},)")

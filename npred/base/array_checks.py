@@ -15,7 +15,7 @@ def floats(name: str, value: object, kind: str = "an array of real numbers") -> 
 
     A masked value and the imaginary part of a complex one would be lost without a word, and a date has no unit.
     """
-    if type(value) is np.ndarray and value.dtype.char == "d":  # which is quick
+    if type(value) is np.ndarray and value.dtype.char == "d":  # the usual case, without a copy
         return value
     try:
         array = np.asarray(None if _masked(value) else value)

@@ -11,7 +11,7 @@ STORE = Path("artifacts")
 STORE_VARIABLE = "NPRED_STORE"
 RESULT = "result.json"  # a stage's answer, among the files of its result
 EXECUTOR_VARIABLE = "NPRED_EXECUTOR"
-NO_PIPELINE = ("pyproject.toml",)  # what else a folder keeps as TOML
+NO_PIPELINE = ("pyproject.toml",)  # other TOML files that a folder may have
 
 
 def store() -> Path:

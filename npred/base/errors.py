@@ -51,7 +51,7 @@ class MissingError(NpredError):
 
 
 class DivergedError(NpredError):
-    """A rollout, a predictor or a training left the finite numbers."""
+    """A rollout, a predictor or a training overflowed."""
 
 
 EXTRAS = {  # the packages that a small installation lacks, by the extra that has them
@@ -106,7 +106,7 @@ def room_on_disk(root: Path) -> Iterator[None]:
         yield
     except Exception as error:
         if disk_is_full(error):
-            todo = "free some, npred gc says what is not needed, and run again: what is finished is kept"
+            todo = "free some (npred gc says what is not needed) and run again: finished results stay"
             raise NpredError(f"{root}: expected room to write, got a full disk; {todo}") from error
         raise
 

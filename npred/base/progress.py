@@ -1,8 +1,8 @@
-"""The word that the library says of slow work: one line, before the work has lasted half a second.
+"""Slow work prints one line, before it has lasted half a second.
 
-A line says what is done, about how long it takes and how often it is to be expected. In a script it goes to stderr;
-an application takes the lines by `listener`. NPRED_QUIET=1 in the environment, or `quiet()` around a call, keeps it
-silent; of the application NPRED_QUIET silences bars and the live view too.
+The line says what is done, about how long it takes and how often it happens. In a script it goes to stderr; an
+application takes the lines by `listener`. NPRED_QUIET=1 in the environment, or `quiet()` around a call, suppresses it;
+NPRED_QUIET silences bars and the live view of the application, too.
 """
 
 import os
@@ -16,8 +16,8 @@ from contextvars import ContextVar
 from npred.base.json_files import escaped
 
 VARIABLE = "NPRED_QUIET"
-PATIENCE = 0.4  # s without a word
-SHORT = 1.0  # s: work that is counted to end before needs no word, unless it lasts longer
+PATIENCE = 0.4  # s without a line
+SHORT = 1.0  # s: counted work that will end before this prints no line, unless it lasts longer
 _listeners: list[Callable[[str], None]] = []
 _announced: ContextVar[bool] = ContextVar("announced", default=False)  # nested work prints nothing
 
@@ -54,7 +54,7 @@ class Pending:
 
     @property
     def expected(self) -> float | None:
-        """The seconds that the work takes in all, as far as one knows."""
+        """The seconds that the whole work takes, as far as known."""
         if self.total and self.done:
             return self.began - self.start + (self.latest - self.began) * self.total / self.done
         return self.seconds
@@ -69,10 +69,10 @@ class Pending:
 
 @contextmanager
 def announce(what: str, seconds: float | None = None, often: str = "", total: int = 0) -> Iterator[Pending]:
-    """Say one line of the work in the block once it has lasted PATIENCE, or SHORT where it will end before that.
+    """Print one line about the work in the block once it has lasted PATIENCE, or SHORT if it will end before that.
 
-    `seconds` is a guess of how long it takes, which a slow machine makes wrong: it delays no line. `often` is how often
-    it does. With a `total` of units the time follows from `advance`. Nested work says nothing.
+    `seconds` is a guess of how long it takes; it may be wrong on a slow machine, so it delays no line. `often` says how
+    often the work happens. With a `total` of units the time follows from `advance`. Nested work prints nothing.
     """
     work = Pending(what, seconds, often, total)
     if _announced.get() or os.environ.get(VARIABLE):

@@ -205,7 +205,7 @@ LAWS = Registry(  # kappa, designed from f
     },
 )
 PAPER, OBSERVER, FROZEN = "bresch-pietri-krstic", "delay-observer", "frozen"  # laws for the estimate of the delay
-WITHOUT_V = (FROZEN, "l1", OBSERVER)  # those that take no V
+WITHOUT_V = (FROZEN, "l1", OBSERVER)  # laws that need no V
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",

@@ -28,23 +28,23 @@ from npred.lab.report.terminal.console import Console
 
 CHECKING = "checking the plant: its formulas, its equilibrium, the loops of its law"
 READING = "importing the packages and reading the store: some seconds"
-WRITING = "reading, writing and testing it: some seconds, minutes for large networks"
-PLANTS = "The plants that are built in or installed; `npred plants check` asks what is wrong with one."
-GRID = "A grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; what cells share is made once."
+WRITING = "reading, writing and testing the export: some seconds, minutes for large networks"
+PLANTS = "List the plants that are built in or installed; `npred plants check` says what is wrong with one."
+GRID = "Run a grid of pipelines: --set train.deeponet.width=32,64,128 --set seed=0:10; shared results are made once."
 TUNE = "Search better gamma, b and gains of kappa on the loops of [evaluate]; say so if nothing is to be gained."
 OF_STAGES = {"identify": "identify:identify", "bench": "execute:bench", "report": "execute:report"}  # with more flags
 OTHERS = {  # by name: module:function, help, and what is said of a command that takes some seconds
     "sweep": ("sweep:sweep", GRID),
     "tune": ("tune:tune", TUNE),
-    "status": ("inspect:status", "The state of each result: fresh, stale or missing."),
-    "why": ("inspect:why", "The reason that a stage would run again: what changed, before -> after."),
-    "show": ("inspect:show", "The content of a result: question, files, answer."),
-    "ls": ("inspect:ls", "Every result in the store, the most recent last."),
-    "diff": ("inspect:diff", "The differences of two results: in their questions, and in their answers."),
-    "init": ("scaffold:init", "A new plant to start from: NAME.py and NAME.toml in this folder."),
-    "verify": ("store_admin:verify", "Every file of every result against its digest; exit 4 where one differs."),
-    "gc": ("gc:gc", "Delete what no pipeline needs: the plan first, deleted with --yes."),
-    "doctor": ("store_admin:doctor", "Versions, devices, threads and the store.", READING),
+    "status": ("inspect:status", "Say of each result whether it is fresh, stale or missing."),
+    "why": ("inspect:why", "Say why a stage would run again: what changed, before -> after."),
+    "show": ("inspect:show", "Print a result: its question, its files, its answer."),
+    "ls": ("inspect:ls", "List every result in the store, the most recent last."),
+    "diff": ("inspect:diff", "Compare two results: their questions, and their answers."),
+    "init": ("scaffold:init", "Write a new plant to start from: NAME.py and NAME.toml in this folder."),
+    "verify": ("store_admin:verify", "Compare every file of every result with its digest; exit 4 if one differs."),
+    "gc": ("gc:gc", "Print which results no pipeline needs; with --yes, delete them."),
+    "doctor": ("store_admin:doctor", "Print versions, devices, threads and the state of the store.", READING),
 }
 LOOK: dict[str, Any] = {
     "context_settings": {"help_option_names": ["-h", "--help"]},
@@ -69,7 +69,7 @@ class Root(TyperGroup):
 app = typer.Typer(
     name="npred",
     cls=Root,
-    help="Numerical and neural predictor feedback for delayed nonlinear plants: generate, train, evaluate, bench.",
+    help="Numerical and neural predictor feedback for nonlinear plants whose input is delayed.",
     no_args_is_help=True,
     **LOOK,
 )
@@ -215,7 +215,7 @@ def _help(
     context: typer.Context,
     words: Annotated[list[str] | None, argument("[COMMAND]...", "As `run` or `plants check`.")] = None,
 ) -> None:
-    """Help of a command, or of all."""
+    """Print the help of one command, or of all."""
     root = context.find_root()
     root.command.main([*(words or []), "--help"], prog_name=root.info_name, standalone_mode=False)
 
@@ -231,9 +231,13 @@ def _listed(options: Common) -> None:
 
 
 add(
-    _plants, "check", "inspect:check", "Check a plant, one answer per question; exit 3 where an answer is no.", CHECKING
+    _plants,
+    "check",
+    "inspect:check",
+    "Check a plant: each question has one answer; exit 3 if an answer is no.",
+    CHECKING,
 )
-_export = typer.Typer(no_args_is_help=True, help="A controller or a trained network for another program.")
+_export = typer.Typer(no_args_is_help=True, help="Write a controller or a trained network for another program.")
 app.add_typer(_export, name="export")
 for _name, _format in FORMATS.items():
     add(_export, _name, f"export:format_command:{_name}", _format.help, WRITING)

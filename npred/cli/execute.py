@@ -31,7 +31,7 @@ def stage_command(stage: str) -> Callable[..., None]:
     def of_networks(
         options: Trains,
         *,
-        model: Annotated[str | None, flag("A network, as deeponet; those of the pipeline by default.")] = None,
+        model: Annotated[str | None, flag("A network, as deeponet; by default all of the pipeline.")] = None,
     ) -> None:
         if model is not None and model not in (names := options.config.train.names):
             raise ConfigError(unlisted("--model", model, names))
@@ -53,7 +53,7 @@ def bench(
     no_networks: Annotated[
         bool,
         flag(
-            "Train none: say in seconds from the cost of f, of a plant as my_plant.py:Tank too, whether one could pay.",
+            "Train nothing: say from the cost of f if a network could pay. PIPELINE may be my_plant.py:Tank.",
             "--no-networks",
         ),
     ] = False,
@@ -80,9 +80,9 @@ def bench(
 def report(
     options: Trains,
     *,
-    output: Annotated[Path | None, flag("The HTML file, or the folder of the figures.", "-o", "--output")] = None,
+    output: Annotated[Path | None, flag("The HTML file, or the folder for the figures.", "-o", "--output")] = None,
     figures: Annotated[
-        str | None, flag("Figures and tables for a paper instead of the page.", word="|".join(MEDIA))
+        str | None, flag("Write figures and tables for a paper instead of the page.", word="|".join(MEDIA))
     ] = None,
 ) -> None:
     """The page, or for a medium of print its figures and tables, as files. Raises ConfigError for no such medium."""

@@ -28,8 +28,8 @@ from npred.prediction.methods import Predictor, numerical
 NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples
 RECALLS = (
-    "the paper's law (12) is made for a measured u, and loses 16 of 30 loops of the paper's plant with its own "
-    'commands (docs/delay_laws.md), DelayObserver none; set adaptation = "delay-observer" in [evaluate]'
+    "the paper's law (12) is made for a measured u; with u from the commands 16 of 30 loops of the paper's plant "
+    'diverge (docs/delay_laws.md), with DelayObserver none; set adaptation = "delay-observer" in [evaluate]'
 )
 
 
@@ -40,9 +40,10 @@ def format_command(form: str) -> Callable[..., None]:
     def write(
         options: Exporting,
         *,
-        key: Annotated[str, argument("KEY", "PIPELINE:MODEL or MODEL; a folder or key.")],
+        key: Annotated[str, argument("KEY", "PIPELINE:MODEL, MODEL, or the folder or key of a result.")],
         output: Annotated[
-            Path | None, flag("The file, or the folder of a controller's; named by default.", "-o", "--output")
+            Path | None,
+            flag("The file, or a folder for `controller`; by default named after the model.", "-o", "--output"),
         ] = None,
         **values: Any,
     ) -> None:

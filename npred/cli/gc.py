@@ -35,13 +35,13 @@ def gc(
     options: Common,
     *,
     pipelines: Annotated[
-        list[Path] | None, argument(None, "Pipelines whose results stay; all in pipeline/ by default.")
+        list[Path] | None, argument(None, "Pipelines whose results stay; by default all in pipeline/.")
     ] = None,
     set: Annotated[
-        list[str] | None, flag("What a sweep was run with: its results stay as well.", "--set", word="KEY=VALUES")
+        list[str] | None, flag("The --set of a sweep whose results stay too.", "--set", word="KEY=VALUES")
     ] = None,
-    yes: Annotated[bool, flag("Delete what the plan names.", "--yes")] = False,
-    device: Annotated[str, flag("auto, cpu, cuda or cuda:N, as in the runs to keep.")] = "auto",
+    yes: Annotated[bool, flag("Delete the results that the plan names.", "--yes")] = False,
+    device: Annotated[str, flag("Device of the runs whose results stay: auto, cpu, cuda or cuda:N.")] = "auto",
 ) -> None:
     """The plan of what to delete, and with `yes` the deletion: of results that no pipeline and no grid needs.
 
@@ -108,14 +108,14 @@ def _kept(options: Common, pipelines: list[Path], sets: list[str], device: str) 
             kept.add(Planner(cell.config, store, device), nodes(cell.config, STAGES))
     for root in roots:
         # To know what a file asks for its plant is run, which is code: not that of another user. Of a recording, and of
-        # a file that is broken now, what it last asked for stays.
+        # a file that is broken now, the results that it last used stay.
         try:
             if root.by_this_user and root.file.suffix == ".toml":
                 pipeline = config.load(root.file)
                 kept.add(Planner(pipeline, store, device), nodes(pipeline, STAGES))
                 continue
         except NpredError as error:
-            options.console.warn(f"{error}; what it last asked for stays")
+            options.console.warn(f"{error}; the results that it last used stay")
         kept.keys.update(root.keys)
     return kept
 
@@ -140,7 +140,7 @@ def _table(plan: list[Waste], deleted: list[str], yes: bool, width: int | None) 
     if not plan:
         return "nothing to delete"
     rows = [[shortened(waste.path), f"{waste.bytes / 1e6:.1f} MB", waste.reason] for waste in plan]
-    busy = f", {len(plan) - len(deleted)} in use and kept" if len(deleted) < len(plan) else ""
+    busy = f", {len(plan) - len(deleted)} in use, not deleted" if len(deleted) < len(plan) else ""
     total = f"{sum(waste.bytes for waste in plan) / 1e6:.1f} MB"
     last = f"deleted {len(deleted)}{busy}" if yes else f"{len(plan)} to delete, {total}; do it with --yes"
     return columns(["artifact", "size", "reason"], rows, width, numbers=["size"]) + f"\n{last}"

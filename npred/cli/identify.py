@@ -30,23 +30,23 @@ class Recorded(Staged):
         argument("LOG...", "Recordings of one plant, as log.csv; or a pipeline that names them.", default=False),
     ] = None
     plant: Annotated[str | None, flag("The plant: a name, or my_plant.py:Tank.", word="PLANT")] = None
-    time: Annotated[str | None, flag("The column of the times.", word="COLUMN")] = None
+    time: Annotated[str | None, flag("The column with the times.", word="COLUMN")] = None
     time_unit: Annotated[str | None, flag("Unit of the time column.", word="|".join(USUAL))] = None
-    period: Annotated[float | None, flag("Time from row to row, in the plant's unit, of a log without times.")] = None
-    hold: Annotated[str | None, flag("Input between two commands: the last, or a line.", word="zero|linear")] = None
-    input: Annotated[list[str] | None, flag("An input's column, as q=Q1; repeatable.", word="NAME=COLUMN")] = None
+    period: Annotated[float | None, flag("Time from row to row, in the plant's unit, if the log has no times.")] = None
+    hold: Annotated[str | None, flag("Input between two commands: the last one, or a line.", word="zero|linear")] = None
+    input: Annotated[list[str] | None, flag("An input and its column, as q=Q1; repeatable.", word="NAME=COLUMN")] = None
     state: Annotated[
         list[str] | None,
         flag("A state or output and its column, as h=T1.", "--state", "--output-column", word="NAME=COLUMN"),
     ] = None
-    scale: Annotated[list[str] | None, flag("A factor to the plant's unit, as T1=0.01.", word="COLUMN=FACTOR")] = None
+    scale: Annotated[list[str] | None, flag("Factor to the plant's unit, as T1=0.01.", word="COLUMN=FACTOR")] = None
     shift: Annotated[list[str] | None, flag("Offset added after scaling, as T1=273.15.", word="COLUMN=NUMBER")] = None
     free: Annotated[list[str] | None, flag("A parameter to estimate; repeatable.", word="NAME")] = None
-    bounds: Annotated[list[str] | None, flag("The range of one, as gain=0.1:2.", word="NAME=LOW:HIGH")] = None
-    longest: Annotated[float | None, flag("The longest delay to try; by default a fifth of the log.")] = None
+    bounds: Annotated[list[str] | None, flag("Range of a parameter, as gain=0.1:2.", word="NAME=LOW:HIGH")] = None
+    longest: Annotated[float | None, flag("Longest delay to try; by default a fifth of the log.")] = None
     offset: Annotated[bool, flag("Estimate a constant that is added to each input.", "--offset")] = False
-    time_varying: Annotated[bool, flag("Estimate the delays over windows of time, too.", "--time-varying")] = False
-    model_error: Annotated[float | None, flag("Relative error of the other parameters; 0.05 by default.")] = None
+    time_varying: Annotated[bool, flag("Also estimate the delay in windows of time.", "--time-varying")] = False
+    model_error: Annotated[float | None, flag("Relative error of the other parameters; by default 0.05.")] = None
 
     @cached_property
     def pipeline(self) -> Path:
@@ -122,10 +122,10 @@ def identify(
     options: Recorded,
     *,
     output: Annotated[
-        Path | None, flag("The pipeline that is written; LOG's name with .toml, here, by default.", "-o", "--output")
+        Path | None, flag("Write the pipeline here; by default LOG's name with .toml.", "-o", "--output")
     ] = None,
     accept: Annotated[
-        bool, flag("Take the range that is left of a delay that is not identifiable, as bounds of D_hat.", "--accept")
+        bool, flag("If the delay is not identifiable, take its possible range as bounds of D_hat.", "--accept")
     ] = False,
 ) -> None:
     """The answer of the stage; the page and the pipeline are written beside each other.
@@ -150,7 +150,7 @@ def identify(
         refusal = "the recording leaves no bounded range of the delay; give --longest, or record more steps"
     elif unknown and not accept:
         spans = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in unknown)
-        refusal = f"the recording does not tell the delay; --accept takes the range that is left, {spans}"
+        refusal = f"the recording does not determine the delay; --accept takes the possible range, {spans}"
         refusal = f"{refusal} {plant.time_unit}".rstrip()
     else:
         target = rewritable(path, "identify")

@@ -15,7 +15,9 @@ from npred.lab.store import Artifact, short
 
 
 def status(
-    options: Planned, *, check: Annotated[bool, flag("Read every file; exit 3 unless all is fresh.", "--check")] = False
+    options: Planned,
+    *,
+    check: Annotated[bool, flag("Read every file; exit 3 unless all results are fresh.", "--check")] = False,
 ) -> None:
     """The state of every node; `check` reads every file and raises UnmetError unless all is fresh."""
     steps = options.planner().plan(nodes(options.config, usual(options.config)))
@@ -81,7 +83,7 @@ def ls(
     options: Common,
     *,
     shown: Annotated[
-        list[str] | None, flag("A setting as a column, as seed; repeatable.", "--show", word="KEY")
+        list[str] | None, flag("A setting to show as a column, as seed; repeatable.", "--show", word="KEY")
     ] = None,
 ) -> None:
     """Every result with a sound manifest and, of the keys to show, its settings; a warning for each of the others."""
@@ -114,8 +116,8 @@ def ls(
 def diff(
     options: Common,
     *,
-    a: Annotated[str, argument("A", "A result, as for show.")],
-    b: Annotated[str, argument("B", "Another.")],
+    a: Annotated[str, argument("A", "A result, named as for show.")],
+    b: Annotated[str, argument("B", "Another result.")],
 ) -> None:
     """The differences of two results."""
     left, right = (options.results.find(reference).verify() for reference in (a, b))
@@ -159,14 +161,16 @@ def check(
             "The largest delay to predict over, in the plant's unit of time; by default the pipeline's or the plant's."
         ),
     ] = None,
-    nx: Annotated[int | None, flag("Nodes of the prediction; dx = 0.01 is 101; the pipeline's, else 101.")] = None,
+    nx: Annotated[
+        int | None, flag("Nodes of the prediction (101 is dx = 0.01); by default the pipeline's, else 101.")
+    ] = None,
     kappa: Annotated[
-        str, flag("A law designed from f in place of the plant's, as lqr; it is printed to be pasted.", word="LAW")
+        str, flag("Take a law designed from f, as lqr, instead of the plant's, and print it for your file.", word="LAW")
     ] = "",
     u0: Annotated[
-        str | None, flag("The input before t = 0: equilibrium, law or numbers, as [0.5].", word="VALUE")
+        str | None, flag("The input before t = 0: equilibrium, law, or numbers as [0.5].", word="VALUE")
     ] = None,
-    figure: Annotated[Path | None, flag("A figure of the delay margin: SVG, PDF or PNG.", word="FILE")] = None,
+    figure: Annotated[Path | None, flag("Draw the delay margin: SVG, PDF or PNG.", word="FILE")] = None,
 ) -> None:
     """Every question about a plant, or about that of a pipeline, with its answer; the law `kappa` in place of its law,
     and the text of that to be pasted; a `figure` of the delay margin; `u0` as in a pipeline. Raises UnmetError where an

@@ -39,10 +39,10 @@ def argument(word: str | None, help: str, default: bool | str = True) -> Argumen
 class Common:
     """Flags of every command."""
 
-    store: Annotated[Path, flag("Where results are kept.", variable=defaults.STORE_VARIABLE)] = defaults.STORE
+    store: Annotated[Path, flag("The folder of the store.", variable=defaults.STORE_VARIABLE)] = defaults.STORE
     json: Annotated[bool, flag("Print one JSON document on stdout.", "--json")] = False
-    quiet: Annotated[bool, flag("Warnings and errors only.", "-q", "--quiet")] = False
-    verbose: Annotated[bool, flag("More messages; tracebacks.", "-v", "--verbose")] = False
+    quiet: Annotated[bool, flag("Print only warnings and errors.", "-q", "--quiet")] = False
+    verbose: Annotated[bool, flag("Print more messages, and tracebacks.", "-v", "--verbose")] = False
 
     @cached_property
     def console(self) -> Console:
@@ -67,9 +67,9 @@ class Common:
 
 FALLBACKS = f"{defaults.PIPELINE_VARIABLE}, {defaults.PIPELINE}, or the only TOML file here"
 PIPELINE = argument(
-    "PIPELINE", "A pipeline file, or the name of one that is part of npred, as smoke.", default=FALLBACKS
+    "PIPELINE", "A pipeline file, or the name of a pipeline that npred contains, as smoke.", default=FALLBACKS
 )
-OVERRIDES = flag("Override a key, as in train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE")
+OVERRIDES = flag("Override a key, as train.fno.epochs=5; repeatable.", "--set", word="KEY=VALUE")
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Piped(Common):
 class Planned(Piped):
     """Flags of the commands that compare a pipeline with the store."""
 
-    device: Annotated[str, flag("auto, cpu, cuda or cuda:N.")] = "auto"
+    device: Annotated[str, flag("Device of the networks: auto, cpu, cuda or cuda:N.")] = "auto"
 
     def planner(self, forced: frozenset[str] = frozenset(), borrows: bool = False) -> "Planner":
         """The pipeline against the store; `borrows` as for Planner."""
@@ -113,14 +113,14 @@ class Planned(Piped):
 class Working(Planned):
     """Flags of the commands that work for some time."""
 
-    jobs: Annotated[int | None, flag("Processes and threads; all cores by default.", least=1)] = None
+    jobs: Annotated[int | None, flag("Number of processes and threads; by default all cores.", least=1)] = None
 
 
 @dataclass(frozen=True)
 class Staged(Working):
     """Flags of a command that brings the results of stages."""
 
-    force: Annotated[bool, flag("Run the named stages even if the store has them.", "--force")] = False
+    force: Annotated[bool, flag("Run again even if the store has the result.", "--force")] = False
 
 
 @dataclass(frozen=True)
@@ -137,17 +137,17 @@ class Running(Working):
 class Work(Running, Staged):
     """Flags of the commands that run stages."""
 
-    wide: Annotated[bool, flag("Print all that was measured, in tables of any width.", "--wide")] = False
+    wide: Annotated[bool, flag("Print everything that was measured, in tables of any width.", "--wide")] = False
 
 
 @dataclass(frozen=True)
 class Trains(Work):
     """Flags of the commands that may train."""
 
-    tensorboard: Annotated[Path | None, flag("Write the epochs of trainings as event files there.", word="DIR")] = None
+    tensorboard: Annotated[Path | None, flag("Write TensorBoard event files of the training there.", word="DIR")] = None
 
 
-WATCHDOG = flag("How long a controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
+WATCHDOG = flag("How long the controller waits for a sample before it holds U, or sends 0.", word="TIME[:hold|zero]")
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class Exporting(Common):
     """Flags of every `npred export`."""
 
     set: Annotated[list[str] | None, OVERRIDES] = None
-    nx: Annotated[int | None, flag("Nodes of u; by default 101, a controller's as in evaluate.")] = None
+    nx: Annotated[int | None, flag("Number of nodes; by default 101, for a controller as in evaluate.")] = None
 
 
 @dataclass(frozen=True)
@@ -163,17 +163,17 @@ class ExportingLoop(Exporting):
     """Flags of `npred export` of a controller: the parts of the pipeline's loop that differ there."""
 
     predictor: Annotated[str, flag("A numerical predictor, as rk4, instead of a network.", word="METHOD")] = ""
-    actuator: Annotated[str, flag("Source of u; by default as in evaluate.", word="measured|history")] = ""
+    actuator: Annotated[str, flag("Where u comes from; by default as in evaluate.", word="measured|history")] = ""
     observer: Annotated[
         str, flag("Observer, as kind=ekf,offset=true; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
     safety: Annotated[
-        str, flag("Filter of U, as margin=0.1,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
+        str, flag("Safety filter, as margin=0.1,delay=0.02; by default as in evaluate.", word="KEY=VALUE,…")
     ] = ""
-    guard: Annotated[float | None, flag("Guard: the largest error of U that passes; as in evaluate.")] = None
+    guard: Annotated[float | None, flag("Largest error of U that the guard accepts; by default as in evaluate.")] = None
     watchdog: Annotated[str, WATCHDOG] = ""
     max_sample_age: Annotated[
-        float | None, flag("How old a sample may be; by default 20 control steps.", word="TIME")
+        float | None, flag("Oldest sample that is used; by default 20 control steps.", word="TIME")
     ] = None
 
     @property

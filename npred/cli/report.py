@@ -90,7 +90,7 @@ def free_path(options: Piped, name: str, of: Callable[[str], Path]) -> Path:
     first = next(iter(owners))
     path = min(owners, key=lambda path: (owners[path] != source, owners[path] is not None))
     if path != first and owners[first]:
-        options.console.note(f"{first} is of {owners[first]}; that of {source} is {path}")
+        options.console.note(f"{first} belongs to {owners[first]}; the one of {source} is {path}")
     return path
 
 

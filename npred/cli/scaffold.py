@@ -23,9 +23,7 @@ def init(
     name: Annotated[str, argument("NAME", "The plant's name, as my_plant.")],
     source: Annotated[
         str | None,
-        flag(
-            "A plant to copy, by name or as my_plant.py:Tank; a tank with comments by default.", "--from", word="PLANT"
-        ),
+        flag("A plant to copy: a name, or my_plant.py:Tank; by default a tank with comments.", "--from", word="PLANT"),
     ] = None,
 ) -> None:
     """Write NAME.py and NAME.toml here, from the plant `source` if there is one.

@@ -57,9 +57,9 @@ Table = list[dict[str, str | float | None]]
 def sweep(
     options: Running,
     *,
-    to: Annotated[str, flag("The last stage of each cell; bench for latencies.", word="STAGE")] = "evaluate",
+    to: Annotated[str, flag("The last stage of each cell; bench also measures latencies.", word="STAGE")] = "evaluate",
     output: Annotated[
-        Path | None, flag("For table and figure; sweep-NAME by default.", "-o", "--output", word="DIR")
+        Path | None, flag("Folder for table and figure; by default sweep-NAME.", "-o", "--output", word="DIR")
     ] = None,
     csv: Annotated[bool, flag("Print the table as CSV.", "--csv")] = False,
 ) -> None:
@@ -96,10 +96,10 @@ def sweep(
         options.console.out(_csv(table).rstrip("\n"))
     else:
         options.show(_document(done, table, files), lambda: _text(done, table, files, options.console.width))
-    if lost := [(cell, run) for cell, run in done if run.failure]:
-        (cell, run), *more = lost
+    if failed := [(cell, run) for cell, run in done if run.failure]:
+        (cell, run), *more = failed
         others = f"; and {len(more)} more, as --json says" if more else ""
-        raise NpredError(f"sweep: {len(lost)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
+        raise NpredError(f"sweep: {len(failed)} of {len(done)} cells failed: {cell.name}: {run.failure}{others}")
 
 
 def _write(options: Running, name: str, output: Path | None, rows: list[Row], table: Table) -> list[Path]:
@@ -186,7 +186,8 @@ def dominated(points: np.ndarray) -> np.ndarray:
 def front(rows: Sequence[Numbers]) -> list[bool]:
     """One boolean per row of a table: it is on the front of those of error, latency and radius that are known.
 
-    A loop that is lost or an error that is not finite (None) is beaten by any number, and never on the front.
+    The radius of a loop that overflows, or an error that is not finite (None), is beaten by any number, and never on
+    the front.
     """
     axes = [axis for axis in AXES if any(row[axis] is not None for row in rows)]
     points = np.array([[np.inf if row[axis] is None else row[axis] for axis in axes] for row in rows], dtype=float)

@@ -23,9 +23,12 @@ def tune(
     options: Working,
     *,
     free: Annotated[
-        list[str] | None, flag("A gain of kappa, or gamma or b, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]")
+        list[str] | None,
+        flag("A number to search: gamma, b or a gain of kappa, and its range, as k1=0.5:5.", word="NAME[=LOW:HIGH]"),
     ] = None,
-    output: Annotated[Path | None, flag("A pipeline with the new numbers.", "-o", "--output", word="FILE")] = None,
+    output: Annotated[
+        Path | None, flag("Write a pipeline with the new numbers.", "-o", "--output", word="FILE")
+    ] = None,
 ) -> None:
     """The answer as a table before -> after; with `output` a pipeline with the new numbers, where there is a gain.
 

@@ -39,7 +39,7 @@ QUESTIONS = (
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
     Check("prediction", prediction.needed, loops.applies),
-    Check("delay margin", delay_margin.bears, delay_margin.applies),
+    Check("delay margin", delay_margin.tolerated, delay_margin.applies),
     Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("limits", limits.kept, limits.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
@@ -74,7 +74,7 @@ def answers(case: Case) -> list[Answer]:
         raise ConfigError(f"nx: expected at least 2, both ends of [0, 1], got {case.nodes}; 101 are usual")
     if not plant.declares_kappa:
         missing = f"plant {plant.name}: expected kappa(x, t, p, M), found none; declare it"
-        advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it to be pasted'
+        advice = 'or take one of these: kappa = "lqr" in a pipeline; --kappa lqr prints it for your file'
         offers = [offer(name, plant, case) for name in _designed_from_f()]
         return [Answer("kappa", "no", f"{missing}, {advice}"), *offers]
     for question in QUESTIONS:
@@ -105,7 +105,7 @@ def longest(plant: Plant, experiment: PlannedExperiment | None = None) -> tuple[
         return assumed(plant), "assumed: the plant declares none on the box"
     if plant.delays:
         return max(plant.delays), "the longest of the plant's delays"
-    return assumed(plant), "assumed: --delay gives another, or a pipeline instead of the plant"
+    return assumed(plant), "assumed; give --delay, or check a pipeline instead of the plant"
 
 
 def assumed(plant: Plant) -> float:
@@ -156,14 +156,15 @@ def converging(name: str, case: Case) -> Answer:
             settles = result
         if result.settled.all():
             break
-    parts = ["from all of them" if shares[EIGHTHS] == 1 else f"from {shares[EIGHTHS]:.0%} of them"]
+    parts = ["all converge" if shares[EIGHTHS] == 1 else f"{shares[EIGHTHS]:.0%} converge"]
     if shares.get(HALF, 1.0) < 1:
-        parts.append(f"from {shares[HALF]:.0%} of half of it")
+        parts.append(f"{shares[HALF]:.0%} from half the box")
     if eighth < EIGHTHS:
-        all_from = f"and all from {eighth}/{EIGHTHS} of it about {case.state(centre)}"
-        parts.append(all_from if shares[eighth] == 1 else "not from all of any sub-box")
+        all_from = f"all from {eighth}/{EIGHTHS} of the box around {case.state(centre)}"
+        parts.append(all_from if shares[eighth] == 1 else "not all from any smaller box")
     _, seconds, horizon = loops.times(case)
     looked = f"; they {settles.text(case)}" if settles.settled.any() else f" in {case.plant.time_text(seconds, '.3g')}"
-    looked += f"; its slowest rate is {horizon / seconds:.2g} times slower than was looked" if seconds < horizon else ""
+    slow = f"; the slowest rate needs {horizon / seconds:.2g} times the simulated time"
+    looked += slow if seconds < horizon else ""
     verdict = "yes" if shares[eighth] == 1 and eighth >= HALF else "warn"
-    return Answer(name, verdict, f"{len(X0)} starts in the box, without delay: converges {', '.join(parts)}{looked}")
+    return Answer(name, verdict, f"{len(X0)} loops from the box, without delay: {', '.join(parts)}{looked}")

@@ -1,4 +1,4 @@
-"""The question about loops whose delay is unknown: does the paper's law keep them, and if not, what would?"""
+"""The question about loops whose delay is unknown: do they converge with the paper's law, and if not, with what?"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ STARTS = 3  # starts in the box
 ESTIMATES = (0.5, 1.5, 2.0)  # times D, where no experiment gives first estimates
 DELAYS = 40.0  # how long loops run at least
 MOST = 4000  # control steps in a loop, at most
-WEAKER = (0.1, 0.01)  # gains that are tried where loops are lost, times that of the law
+WEAKER = (0.1, 0.01)  # gains that are tried if loops do not converge, times the law's gain
 # Nodes of the predictor at most, and control steps in a delay, where they are not given or would be too many.
 TRACED, UNTRACED = (31, 50), (11, 10)  # an f that runs in Python is slow
 
@@ -53,8 +53,8 @@ def applies(case: Case) -> bool:
 def converges(case: Case) -> Verdict:
     """Whether loops of the paper's law come to their target, from the box and from first estimates on both sides of D.
 
-    They are those of the experiment, else those of the law with nothing but the delay given. Where some do not come, a
-    weaker gain is looked for that keeps all.
+    They are those of the experiment, else those of the law with nothing but the delay given. If some do not converge,
+    a weaker gain is sought with which all do.
     """
     experiment, (most_nodes, steps) = case.experiment, TRACED if case.plant.traced else UNTRACED
     if experiment and experiment.adaptive:
@@ -67,15 +67,15 @@ def converges(case: Case) -> Verdict:
     dt = max(loops.dt, min(seconds / MOST, loops.D / steps))  # longer, then in a shorter time, for MOST steps
     loops = replace(loops, dt=dt, seconds=min(seconds, MOST * dt), nodes=min(loops.nodes, most_nodes))
 
-    kept, shown = _kept(case, loops), case.plant.time_text
+    converge, shown = _converge(case, loops), case.plant.time_text
     estimates = ", ".join(f"{D_hat:g}" for D_hat in loops.D_hat)
     gain = f"gamma = {loops.law.gamma:g}" + (", which was derived from the plant and D," if loops.derived else "")
-    came = f"{kept.size} loops with D = {shown(loops.D)}, {gain} and D_hat(0) = {estimates}"
-    if kept.all():
-        return "yes", f"{came} converge in {shown(loops.seconds, '.3g')}"
-    start, estimate = (int(k) for k in np.argwhere(~kept)[0])
+    came = f"{converge.size} loops with D = {shown(loops.D)}, {gain} and D_hat(0) = {estimates}"
+    if converge.all():
+        return "yes", f"all {came} converge in {shown(loops.seconds, '.3g')}"
+    start, estimate = (int(k) for k in np.argwhere(~converge)[0])
     where = f"as from D_hat(0) = {shown(loops.D_hat[estimate])} at {case.state(loops.X0[start])}"
-    return "warn", f"{(~kept).mean():.0%} of {came} are lost, {where}; {_cure(case, loops, kept)}"
+    return "warn", f"{(~converge).mean():.0%} of {came} do not converge, {where}; {_cure(case, loops, converge)}"
 
 
 def _run(loops: AdaptiveLoops, adaptation: str, rk4: RK4, every: int) -> Trajectories:
@@ -86,26 +86,26 @@ def _run(loops: AdaptiveLoops, adaptation: str, rk4: RK4, every: int) -> Traject
     )  # fmt: skip
 
 
-def _kept(case: Case, loops: AdaptiveLoops, adaptation: str = PAPER) -> np.ndarray:
-    """True (S, E) for loops that have converged, or still do, with another law where one is named."""
+def _converge(case: Case, loops: AdaptiveLoops, adaptation: str = PAPER) -> np.ndarray:
+    """True (S, E) for loops that have converged, or still do, with the paper's law or the one that is named."""
     run = loops.run(loops, adaptation, RK4(case.plant, loops.nodes), max(round(loops.D / loops.dt / 10), 1))
     X = run.X.reshape(-1, *run.X.shape[-2:])
     near = HOME if case.plant.rests else FOLLOWS
-    return fate(case, X, float(run.t[-1]), near).kept.reshape(run.X.shape[:-2])
+    return fate(case, X, float(run.t[-1]), near).converges.reshape(run.X.shape[:-2])
 
 
-def _cure(case: Case, loops: AdaptiveLoops, kept: np.ndarray) -> str:
-    """The keys to give, of those with which all loops are kept: a weaker gain, first estimates, or another law."""
+def _cure(case: Case, loops: AdaptiveLoops, converge: np.ndarray) -> str:
+    """Keys with which all loops converge: a weaker gain, first estimates, or another law."""
     for share in WEAKER:
         law = replace(loops.law, gamma=float(f"{share * loops.law.gamma:g}"))
-        if _kept(case, replace(loops, law=law)).all():
+        if _converge(case, replace(loops, law=law)).all():
             return f"give gamma = {law.gamma:g}"
     cures = []
-    if (good := kept.all(axis=0)).any():
+    if (good := converge.all(axis=0)).any():
         low, high = loops.D_hat[good].min(), loops.D_hat[good].max()
         cures.append(f"start the estimate within {low:g} to {case.plant.time_text(high)}")
-    if _kept(case, loops, OBSERVER).all():
+    if _converge(case, loops, OBSERVER).all():
         cures.append(f'set adaptation = "{OBSERVER}"')
-    if not good.any() and _kept(case, replace(loops, D_hat=np.array([loops.D])), FROZEN).all():
-        cures.append(f'set adaptation = "{FROZEN}" and D_hat0 = D where the delay is known')
-    return ", or ".join(cures) or f'neither "{OBSERVER}" nor the known delay keeps all; shorten D, or shrink box'
+    if not good.any() and _converge(case, replace(loops, D_hat=np.array([loops.D])), FROZEN).all():
+        cures.append(f'set adaptation = "{FROZEN}" and D_hat0 = D if the delay is known')
+    return ", or ".join(cures) or f'with "{OBSERVER}", or a known delay, some do not either; shorten D, or shrink box'

@@ -18,10 +18,10 @@ FINE = 1001  # nodes on which a stiff plant is still integrated
 def traced(case: Case) -> Verdict:
     """Whether the functions run on symbols, and return values of their shapes."""
     plant = case.plant
-    _ = plant.program, plant.rests  # they say so where a function fails
+    _ = plant.program, plant.rests  # these raise if a function fails
     names = f"{', '.join(plant.states)} driven by {', '.join(plant.inputs)}"
     if not plant.traced:
-        return "warn", f"{names}, by functions that are called: slower, and derivatives by differences"
+        return "warn", f"{names}; its functions are called, not traced: slower, with differences as derivatives"
     return "yes", f"f, kappa and V: {names}"
 
 
@@ -33,8 +33,8 @@ def smooth(case: Case) -> Verdict:
     if not kinks:
         return "yes", "kappa has derivatives everywhere it is defined"
     harm = "a law of signs chatters, and its derivative is 0" if "sign" in kinks else "its derivative may jump there"
-    decides = f"{case.plant.location('kappa')} decides by {', '.join(kinks)}"
-    return "warn", f"{decides}: {harm}; smooth it, with M.tanh say, if loops chatter"
+    decides = f"{case.plant.location('kappa')} uses {', '.join(kinks)}"
+    return "warn", f"{decides}: {harm}; if loops chatter, smooth it, for example with M.tanh"
 
 
 def declared(case: Case) -> Verdict:
@@ -59,22 +59,23 @@ def finite(case: Case) -> Verdict:
         values = {"f": plant.f(X, case.u), "kappa": plant.kappa(X)}
         values |= {"V": np.reshape(plant.V(X), (-1, 1))} if case.takes_V else {}
     for name, value in values.items():
-        lost = ~np.isfinite(np.broadcast_to(value, (len(X), value.shape[-1]))).all(axis=-1)
-        if lost.any():
-            where = f"at {case.state(X[np.argmax(lost)])}, and on {lost.mean():.0%} of the box"
+        fails = ~np.isfinite(np.broadcast_to(value, (len(X), value.shape[-1]))).all(axis=-1)
+        if fails.any():
+            where = f"at {case.state(X[np.argmax(fails)])}, and on {fails.mean():.0%} of the box"
             return "no", f"{plant.location(name)} is not finite {where}; shrink box, or guard it with M.where"
     if case.takes_V and (V := values["V"][:, 0]).min() < 0:
         came = f"{V.min():.3g} at {case.state(X[np.argmin(V)])}"
-        return "no", f"{plant.location('V')} expected at least 0 on the box, got {came}; 1 + V divides: add squares"
-    return "yes", f"{'f, kappa and V' if case.takes_V else 'f and kappa'} are, at {len(X)} states of the box"
+        cure = "add squares, because the law divides by 1 + V"
+        return "no", f"{plant.location('V')} expected at least 0 on the box, got {came}; {cure}"
+    return "yes", f"{'f, kappa and V' if case.takes_V else 'f and kappa'} are finite at {len(X)} states of the box"
 
 
 def stiff(case: Case) -> Verdict:
     """Whether h rho(f_X) < 2 on the box, h = delay / (nodes - 1) [explicit methods' limit on the real axis]."""
     matrices = case.plant.jacobians(case.X, case.u)[0]
-    lost = ~np.isfinite(matrices).all(axis=(1, 2))
-    if lost.any():
-        where = f"no derivative at {case.state(case.X[np.argmax(lost)])}"
+    fails = ~np.isfinite(matrices).all(axis=(1, 2))
+    if fails.any():
+        where = f"no derivative at {case.state(case.X[np.argmax(fails)])}"
         return "no", f"{case.plant.location('f')}: {where}; guard the term that has none"
     rates = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
     worst = int(np.argmax(rates))
@@ -102,16 +103,16 @@ def complete(case: Case) -> Verdict:
         plant = Plant(plant.name, declaration, plant.parameters, plant.source)
     P = RK4(plant, nodes)(case.X, np.repeat(held[:, None], nodes, axis=1), case.delay)
     ended = ~np.all(np.isfinite(P), axis=2)  # (samples, nodes)
-    lost, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
-    if not lost.any():
+    fails, loop = ended[:, -1], f"the open loop (u0: {inputs.sentence(case.plant, case.u0, case.limits)}, or kappa)"
+    if not fails.any():
         largest = ", ".join(f"|{s}| <= {a:.3g}" for s, a in zip(case.plant.states, np.abs(P).max((0, 1)), strict=True))
         return "yes", f"{loop} stays finite for {case.plant.time_text(case.delay)}: {largest}"
-    first = int(np.argmax(lost))
+    first = int(np.argmax(fails))
     t = case.delay * int(np.argmax(ended[first])) / (nodes - 1)
     after = case.plant.time_text(t, ".3g")
-    start = f"{case.state(case.X[first])} ({lost.sum()} of {lost.size} states of the box)"
+    start = f"{case.state(case.X[first])} ({fails.sum()} of {fails.size} states of the box)"
     cure = "shrink box or the delay, set u0, in a pipeline or by --u0, or guard what is undefined there with M.where"
-    return "no", f"{case.plant.location('f')}: {loop} leaves the finite numbers after {after} from {start}; {cure}"
+    return "no", f"{case.plant.location('f')}: {loop} overflows after {after} from {start}; {cure}"
 
 
 def feasible(case: Case) -> Verdict:
@@ -134,4 +135,4 @@ def feasible(case: Case) -> Verdict:
     if margins[worst] > 0:
         return "yes", f"{came}, at {len(margins)} states of the box"
     share = f"{(margins <= 0).mean():.0%} of {len(margins)} states of the box"
-    return "warn", f"{came}, and not positive at {share}: loops that come there end; shrink box"
+    return "warn", f"{came}, and not positive at {share}: loops that come there cannot go on; shrink box"

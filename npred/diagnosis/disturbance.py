@@ -1,4 +1,4 @@
-"""The question about a constant disturbance of an input: how far it moves the rest, and if integral action helps."""
+"""The question how far a constant disturbance of an input moves the rest, and whether integral action helps."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from npred.diagnosis.case import Case, Verdict
 from npred.diagnosis.loops import Ensemble, simulated
 from npred.estimation.observers import EKF
 
-SHARE = 0.1  # of the range of an input
-NEAR = 0.005  # of the box, 1 % of half of it: a smaller offset does not count
+SHARE = 0.1  # the disturbance, relative to the range of an input
+NEAR = 0.005  # relative to the box, 1 % of half of it: a smaller offset does not count
 
 
 def applies(case: Case) -> bool:
@@ -25,7 +25,7 @@ def rejected(case: Case) -> Verdict:
     sizes = SHARE * np.where(np.isfinite(span), span, np.ptp(case.u, axis=0))
     pushes = np.diag(sizes)[sizes > 0]
     if not len(pushes):
-        return "yes", "the inputs have no range, of which a disturbance could be a share"
+        return "yes", "not tested: the inputs have no range, from which to take the size of a disturbance"
     bare = [_disturbed(case, push) for push in pushes]
     offsets = np.array([each.offset for each in bare])
     with np.errstate(invalid="ignore"):
@@ -39,14 +39,11 @@ def rejected(case: Case) -> Verdict:
         return "yes", f"{text} leaves every state within 1 % of half the box", figures
     far = np.abs(offsets[worst])
     if bare[worst].still.all():
-        text += f" leaves {case.amounts(far, far > NEAR * case.width)} off"
+        text += f" moves the rest: {case.amounts(far, far > NEAR * case.width)}"
+    elif bare[worst].diverges.any():
+        text += " makes the loop diverge"
     else:
-        end = (
-            "is lost"
-            if bare[worst].lost.any()
-            else f"still moves after {plant.time_text(bare[worst].looked[0], '.3g')}"
-        )
-        text += f" takes the loop from rest: it {end}"
+        text += f" moves the loop away from rest; it still moves after {plant.time_text(bare[worst].looked[0], '.3g')}"
     cure, seconds = _cure(case, pushes)
     figures["settling_time_with_offset"] = seconds
     return "yes" if cure else "warn", f"{text}{cure}", figures
@@ -59,7 +56,7 @@ def _disturbed(case: Case, push: np.ndarray, **parts: Any) -> Ensemble:
 
 
 def _cure(case: Case, pushes: np.ndarray) -> tuple[str, float | None]:
-    """What the EKF with offset does, and in what time; nothing where it does not take all disturbances away."""
+    """What the EKF with offset does, and in what time; empty if it does not remove all disturbances."""
     try:
         each = [_disturbed(case, push, observer=EKF(case.plant, offset=True)) for push in pushes]
     except ConfigError:  # there is none for this plant
@@ -68,4 +65,4 @@ def _cure(case: Case, pushes: np.ndarray) -> tuple[str, float | None]:
         return "", None
     seconds = max(float(one.fate.seconds.max()) for one in each)
     took = f"to 1 % of half the box in {case.plant.time_text(seconds, '.3g')}"
-    return f"; an observer with offset=True takes it away, {took}", seconds
+    return f"; an observer with offset=True removes this, {took}", seconds

@@ -23,7 +23,7 @@ from npred.prediction.methods import RK4
 SLIP = 1e-6  # how far a reference may be from a trajectory, as a share of the usual rate + its own
 STEPS = (1e-5, 1e-6, 1e-7)  # times the usual time constant, of differences: short for what is fast, not for rounding
 NEAR = 0.01  # share of the box, around rest: loops come there from all sides, whichever side the box is on
-DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which take none'
+DECLARE = 'npred plants check offers one; or set adaptation = "delay-observer", "l1" or "frozen", which need none'
 ROUNDING, DIFFERENCES = 1e-9, 1e-6  # relative: what of S and of a rest is rounding, and where f_X is a difference
 SAME = 1e-3  # share of its largest value: this close to x'Sx a V is taken for it
 
@@ -55,7 +55,7 @@ def stability(case: Case) -> Verdict:
     if rates[0].real < 0:
         return "yes", f"eigenvalues of the loop without delay: {values}"
     at = f"eigenvalues {values} at {case.state(plant.equilibrium)}, expected all negative"
-    cure = "check its signs and gains, or move guess to the rest that it holds"
+    cure = "check its signs and gains, or move guess to the rest of kappa"
     return "no", f"{plant.location('kappa')} does not stabilise without delay: {at}; {cure}"
 
 
@@ -63,7 +63,7 @@ def reference(case: Case) -> Verdict:
     """Whether the declared reference is a trajectory of f with kappa, as long as loops last, or `speed.settled`."""
     plant = case.plant
     if not plant.tracks:
-        text = "f or kappa depends on time and no reference(t, p, M) says what it follows: its loops have no radius"
+        text = "f or kappa depends on time, and no reference(t, p, M) says what they follow: loops have no radius"
         return "warn", f"{text}; declare one to evaluate the plant"
     seconds = case.experiment.seconds if case.experiment else speed.settled(plant)
     excess, t = slip(plant, seconds)
@@ -96,8 +96,9 @@ def limited(case: Case) -> Verdict:
     """The share of kappa on the box that lies outside the input bounds; without any, those of a controller."""
     if not np.isfinite(case.limits).any():
         widest = inputs.widest(case.plant, case.limits)
-        kept = source_lines.ranges(case.plant.inputs, widest)
-        return "yes", f"none declared; a controller keeps {kept}, {inputs.SPARE:g} times the largest kappa of the box"
+        within = source_lines.ranges(case.plant.inputs, widest)
+        times = f"{inputs.SPARE:g} times the largest kappa of the box"
+        return "yes", f"none are declared; a controller keeps {within}, {times}"
     with np.errstate(all="ignore"):
         U = case.plant.kappa(case.X)
     outside = (np.clip(U, *case.limits.T) != U).any(axis=-1)
@@ -113,23 +114,23 @@ def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
     X0, (_, seconds, horizon) = case.X[:LOOPS], times(case)
     loops, shown = approach(case, X0), case.plant.time_text(seconds, ".3g")
-    home, lost = loops.settled, ~loops.kept
+    home, fails = loops.settled, ~loops.converges
     if home.all():
-        return "yes", f"{len(X0)} loops from the box, without delay, {loops.text(case)}", loops.figures
+        return "yes", f"all {len(X0)} loops from the box, without delay, {loops.text(case)}", loops.figures
     if seconds < horizon:
-        text = f"{home.mean():.0%} of {len(X0)} loops without delay settled in {shown}, as long as was looked"
-        return "warn", f"{text}: its slowest rate is {horizon / seconds:.2g} times slower", loops.figures
-    if not lost.any():
+        text = f"{home.mean():.0%} of {len(X0)} loops without delay settled in {shown}, the longest time simulated"
+        return "warn", f"{text}; the slowest rate needs {horizon / seconds:.2g} times as long", loops.figures
+    if not fails.any():
         text = f"{home.mean():.0%} of {len(X0)} loops without delay have settled after {shown}"
         return "warn", f"{text}, the others still converge", loops.figures
-    start = case.state(X0[np.argmax(lost)])
-    failing = f"{lost.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
+    start = case.state(X0[np.argmax(fails)])
+    failing = f"{fails.mean():.0%} of {len(X0)} loops without delay do not converge, as from {start}"
     cure = "shrink box" + (", or widen input_bounds" if np.isfinite(case.limits).any() else ", or change kappa there")
     return "no", f"{case.plant.location('kappa')}: {failing}; {cure}", loops.figures
 
 
 def approach(case: Case, X0: np.ndarray) -> Fate:
-    """The fate of loops without delay from X0 (B, n)."""
+    """How loops without delay from X0 (B, n) end."""
     closed, (h, seconds, _) = _closed(case), times(case)
     nodes = max(int(seconds / h), 600) + 1  # a time constant has 20, at least
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
@@ -177,16 +178,16 @@ def V_applies(case: Case) -> bool:
 def V_falls(case: Case) -> Verdict:
     """Whether V' = V_X f(X, kappa(X)) < 0 from the box to rest."""
     if not case.takes_V:
-        declared = "it" if case.plant.declares_V else "one, and none is declared"
-        return "yes", f"no law runs that takes {declared}"
+        declared = "declared" if case.plant.declares_V else "not declared"
+        return "yes", f"{declared}; no law that runs needs it"
     lacks = "warn" if case.experiment is None else "no"  # where nothing says which law will run
-    missing = f"{undeclared(case.plant)}; delay-observer, l1 and frozen take none; declare"
+    missing = f"{undeclared(case.plant)}; delay-observer, l1 and frozen need none"
     if not case.plant.rests:
-        return lacks, f"{missing} the squared distance to what it follows"
+        return lacks, f"{missing}; declare the squared distance to the reference"
     X = _towards_rest(case)
     S = lyapunov(case.plant.linearised()[0])
     if not case.plant.declares_V:
-        return lacks, f"{missing} one: {_offer(case, S, X)}"
+        return lacks, f"{missing}; a candidate: {_offer(case, S, X)}"
     plant = case.plant
     if plant.traced:  # the input is not clipped
         trace, t = Trace(plant), 0.0
@@ -209,7 +210,7 @@ def V_falls(case: Case) -> Verdict:
         return "warn", f"{rises}; {_offer(case, S, X)}"
     if _proportional(case, S, X):
         share = f"{1 - rising.mean():.0%} of {len(X)} states"
-        return "yes", f"V solves the Lyapunov equation, and falls at {share}: the box is wider than where it does"
+        return "yes", f"V solves the Lyapunov equation, and falls at {share}: the box is larger than that region"
     return "warn", f"{rises}; no x'Sx does better: shrink box"
 
 

@@ -1,4 +1,4 @@
-"""Loops of a case: what becomes of them, and their simulation from the box until they settle or are seen not to."""
+"""Loops of a case: how they end, and their simulation from the box until they settle or are seen not to."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from npred.plants import speed
 from npred.prediction.methods import RK4
 
 LOOPS = 64  # starts, of the states of the box
-STEP, BEARS = 0.5, 2.0  # a step of RK4, times the fastest rate on the box; the longest that is stable
+STEP, STABLE = 0.5, 2.0  # a step of RK4, times the fastest rate on the box; the longest that is stable
 MOST = 20_000  # steps
 SPAN = 30.0  # time constants of the slowest rate at the equilibrium
 HOME = 0.01  # share of the box, 2 % of half of it: this close to its target a loop has settled
@@ -28,12 +28,12 @@ DELAYS = 10  # delays that a loop lasts at least: a stiff plant's would take too
 STEPS, NODES = (10, 50), 41  # control steps in D and nodes of the prediction, at least
 FINE = 20  # control steps in a step of RK4, which are as many as it takes
 WORK = 5e5  # nodes times control steps of a loop, at most
-FAR = 1e3  # times the box: a loop that is so far away is lost
+FAR = 1e3  # times the box: a loop that is so far away diverges
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
 
 
 class Fate(NamedTuple):
-    """When each loop (B,) settles, infinite where it does not; which of those come nearer, and which grow."""
+    """When each loop (B,) settles, infinite if it does not; which of the others come nearer, and which grow."""
 
     seconds: np.ndarray
     nearing: np.ndarray
@@ -44,12 +44,12 @@ class Fate(NamedTuple):
         return np.isfinite(self.seconds)
 
     @property
-    def kept(self) -> np.ndarray:
-        """True for loops that have settled, or still converge."""
+    def converges(self) -> np.ndarray:
+        """True for loops that have settled, or still come nearer."""
         return self.settled | self.nearing
 
     def text(self, case: Case) -> str:
-        """How long those take that settle."""
+        """How long the settled loops took."""
         times = self.seconds[self.settled]
         typical, slowest = (case.plant.time_text(time, ".3g") for time in (np.median(times), times.max()))
         return f"settle in {typical} (median), {slowest} (slowest)"
@@ -111,8 +111,8 @@ def run(case: Case, D_hat: float, X0: np.ndarray, t_end: float, dt: float, **par
 
 
 def nodes(case: Case, D_hat: float) -> int:
-    """The nodes of the prediction, which RK4 bears."""
-    return 2 if D_hat == 0 else max(NODES, math.ceil(STEP * D_hat / times(case)[0] / BEARS) + 1)
+    """The nodes of the prediction, with which RK4 is stable."""
+    return 2 if D_hat == 0 else max(NODES, math.ceil(STEP * D_hat / times(case)[0] / STABLE) + 1)
 
 
 def step(case: Case, steps: tuple[int, int] = STEPS) -> float:
@@ -160,20 +160,20 @@ class Ensemble:
 
     @property
     def far(self) -> np.ndarray:
-        """True (B,) for loops that left the finite numbers, or soon will."""
+        """True (B,) for loops that overflow, or soon will."""
         target = self.case.plant.target(0.0)
         reach = np.maximum(self.last_high - target, target - self.last_low) / self.case.width
         return ~(reach.max(axis=1) < FAR)
 
     @property
-    def lost(self) -> np.ndarray:
+    def diverges(self) -> np.ndarray:
         """True (B,) for loops that leave every bound."""
-        return ~self.fate.kept & (self.far | self.fate.growing)
+        return ~self.fate.converges & (self.far | self.fate.growing)
 
     @property
     def swings(self) -> np.ndarray:
         """True (B,) for loops that oscillate, and neither come nearer nor leave every bound."""
-        return self.oscillates & ~(self.fate.kept | self.lost)
+        return self.oscillates & ~(self.fate.converges | self.diverges)
 
     @property
     def still(self) -> np.ndarray:
@@ -183,12 +183,12 @@ class Ensemble:
     @property
     def steady(self) -> np.ndarray:
         """True (B,) for loops that do not settle, and have come to rest elsewhere."""
-        return self.still & (self.looked >= self.enough) & ~(self.fate.kept | self.lost)
+        return self.still & (self.looked >= self.enough) & ~(self.fate.converges | self.diverges)
 
     @property
     def fails(self) -> np.ndarray:
-        """True (B,) for loops of which it is seen that they do not settle."""
-        return self.swings | self.lost | self.steady
+        """True (B,) for loops that were seen not to settle."""
+        return self.swings | self.diverges | self.steady
 
     @property
     def offset(self) -> np.ndarray:
@@ -201,12 +201,12 @@ class Ensemble:
         return self.past.max(axis=0)
 
     def text(self) -> str:
-        """What became of the loops, in words."""
+        """How the loops end, in words."""
         fate, looked = self.fate, self.case.plant.time_text(self.looked.max(), ".3g")
         parts = {
             f"still converge after {looked}": fate.nearing,
-            f"have not settled after {looked}, as long as was looked": ~(fate.kept | self.fails),
-            "are lost": self.lost,
+            f"have not settled after {looked}, the longest time simulated": ~(fate.converges | self.fails),
+            "diverge": self.diverges,
         }
         if fate.settled.any():
             parts = {fate.text(self.case): fate.settled, **parts}
@@ -223,14 +223,14 @@ class Ensemble:
 
     @property
     def figures(self) -> dict[str, Any]:
-        """The same as numbers, by name."""
+        """How the loops end, as numbers by name."""
         states = self.case.plant.states
         return {
             "D_hat": self.D_hat,
             **self.fate.figures,
             "swinging": float(self.swings.mean()),
             "resting_elsewhere": float(self.steady.mean()),
-            "lost": float(self.lost.mean()),
+            "diverging": float(self.diverges.mean()),
             "overshoot": numbers(states, self.overshoot),
             "last_low": numbers(states, self.last_low.min(axis=0)),
             "last_high": numbers(states, self.last_high.max(axis=0)),
@@ -246,7 +246,7 @@ def ensemble(case: Case, D_hat: float) -> Ensemble:
 
 
 def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **parts: Any) -> Ensemble:
-    """Loops from X0 (B, n), each for longer and longer until it settles, is lost, or neither comes nearer nor grows."""
+    """Loops from X0 (B, n), each longer and longer until it settles, diverges, or neither comes nearer nor grows."""
     plant, dt, lanes, count = case.plant, step(case), np.arange(len(X0)), len(X0)
     fates = Fate(np.full(count, np.inf), np.zeros(count, bool), np.zeros(count, bool))
     looked, oscillates, ends = np.zeros(count), np.zeros(count, bool), np.zeros((5, count, plant.n))

@@ -9,7 +9,7 @@ SLOWER, FARTHER = 1.1, 0.05  # without a predictor, as good: at most so many tim
 
 
 def needed(case: Case) -> Verdict:
-    """What loops of D_hat = D do, and those of D_hat = 0."""
+    """How loops with D_hat = D end, and loops with D_hat = 0."""
     shown = case.plant.time_text
     exact, bare = ensemble(case, case.D), ensemble(case, 0.0)
     figures = {"D": case.D, "dt": step(case), "with": exact.figures, "without": bare.figures}
@@ -18,7 +18,7 @@ def needed(case: Case) -> Verdict:
     if exact.fails.any():
         return "warn", f"{where}: {each}; shrink box, or shorten D", figures
     if spares(exact, bare):
-        return "yes", f"you need no predictor: {where}: {each}", figures
+        return "yes", f"no predictor is needed: {where}: {each}", figures
     return "yes", f"{where}: {each}", figures
 
 
@@ -33,7 +33,7 @@ def spares(exact: Ensemble, bare: Ensemble) -> bool:
 
 
 def _said(each: Ensemble) -> str:
-    """What became of loops, and how far those that settle go past the target."""
+    """How loops end, and how far those that settle go past the target."""
     case, beyond = each.case, each.overshoot > HOME * each.case.width
     if not each.fate.settled.all() or not beyond.any():
         return each.text()

@@ -16,7 +16,7 @@ from npred.prediction.delays import problem_of
 from npred.prediction.delays.problem import Kernel
 
 STARTS, SPAN, SETTLING = 16, 20.0, 5.0  # starts of the box, and how long they are followed: delays, time constants
-CELLS = (200, 800)  # parts of that time; more where fewer leave the finite numbers
+CELLS = (200, 800)  # parts of that time; more if fewer overflow
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class DelayAdaptation(DelayLaw):
 
 def undeclared(plant: Plant) -> str:
     """The message that the law lacks V; the caller adds the cure."""
-    return f"plant {plant.name}: found no V(x, t, p, M), which the update law takes"
+    return f"plant {plant.name}: expected V(x, t, p, M), a Lyapunov function, which the paper's law needs, found none"
 
 
 @cache
@@ -112,10 +112,10 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
     box, along the loop of the exact prediction from D on: U = kappa(X). gamma / D, without a unit of time, is rounded
     down to 1, 2 or 5 times a power of ten, so that no machine's rounding changes it. That is a scale, not a proof:
     npred plants check simulates loops.
-    Raises ConfigError where loops from the box leave the finite numbers, and where there is no box or no equilibrium.
+    Raises ConfigError if loops from the box overflow, and if there is no box or no equilibrium.
     """
     if missing := [name for name in plant.states if name not in plant.box]:
-        raise ConfigError(f"gamma: expected a gain, for plant {plant.name} has no box for {missing[0]}; give gamma")
+        raise ConfigError(f"gamma: expected a gain, because plant {plant.name} has no box for {missing[0]}; give gamma")
     try:
         with np.errstate(all="ignore"):
             totals = (_excitation(plant, D, b, cells) for cells in CELLS)
@@ -123,7 +123,7 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
     except ConfigError as error:  # no equilibrium
         raise ConfigError(f"gamma: expected a gain, none could be derived: {error}; or give gamma") from None
     if not (largest := float(total.max())) > 0:
-        what = f"none could be derived, for loops of plant {plant.name} leave the finite numbers or do not move"
+        what = f"none could be derived, because loops of plant {plant.name} overflow or do not move"
         raise ConfigError(f"gamma: expected a gain, {what}; give gamma")
     power = 10.0 ** math.floor(-math.log10(largest * D))
     return float(f"{max(k for k in (1, 2, 5) if k * power * largest * D <= 1) * power:.0e}") * D

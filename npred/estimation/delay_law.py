@@ -17,7 +17,7 @@ from npred.prediction.delays import problem, problem_of
 from npred.prediction.delays.problem import Kernel
 from npred.prediction.methods import RK4
 
-Adaptation = Literal["bresch-pietri-krstic", "l1", "delay-observer", "frozen"]  # those of the registry, and none
+Adaptation = Literal["bresch-pietri-krstic", "l1", "delay-observer", "frozen"]  # the registry's names, and no law
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class DelayLaw(ABC):
         super().__init_subclass__(**settings)
         methods = {name for name, value in vars(cls).items() if callable(value) and not name.startswith("__")}
         if "kernel" not in methods and methods - {"check"}:
-            cls.kernel = DelayLaw.kernel  # that of a base class no longer is its kernel
+            cls.kernel = DelayLaw.kernel  # the base class's kernel does not compute the new rate
 
     def __post_init__(self) -> None:
         gains = array_checks.floats("adaptation: gamma, b", (1.0 if self.gamma is None else self.gamma, self.b))

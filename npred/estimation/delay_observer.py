@@ -47,7 +47,7 @@ from npred.plants.speed import of_reference, rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods.runge_kutta import Heun
 
-SHARE, SLOW = 0.7, 0.5  # of the usual time constant, and of the slowest
+SHARE, SLOW = 0.7, 0.5  # relative to the usual time constant, and to the slowest
 FEWEST = 20  # control steps in a window, as npred/kernels/c/candidates.h has them
 DIGITS = 9  # of a number of control steps, before it is rounded: half a step is that in any unit of time
 NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
@@ -103,7 +103,7 @@ class DelayObserver(DelayLaw):
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
     ) -> np.ndarray:  # fmt: skip
-        """It has none: the estimate comes from the commands, which `rate` does not see. Raises ConfigError."""
+        """Raises ConfigError: the estimate comes from the commands, which `rate` does not see."""
         raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
 
     def thetas(self, dt: float) -> np.ndarray:

@@ -57,30 +57,36 @@ class Format(NamedTuple):
 
 
 COMMON = {
-    "precision": Option("double", "Type of its numbers.", "double|float"),
-    "name": Option("npred", "What files and C names begin with."),
+    "precision": Option("double", "Type of the numbers.", "double|float"),
+    "name": Option("npred", "Files and C names begin with this."),
 }
 FORMATS = {
     "controller": Format(
-        "npred.exports.c_controller:export", "The whole controller as C99, with a test inside: a folder.", COMMON, ""
+        "npred.exports.c_controller:export", "Write the whole controller as C99 files that test themselves.", COMMON, ""
     ),
     "fmu": Format(
         "npred.exports.fmu:export",
-        "The whole controller as a Functional Mock-up Unit for co-simulation.",
+        "Write the whole controller as a Functional Mock-up Unit for co-simulation.",
         COMMON
         | {
             "fmi": Option(3, "Version of FMI.", "3|2"),
-            "platforms": Option((), "Machines, by ziglang, as linux64,win64,darwin64; by default this one.", "NAME,…"),
+            "platforms": Option(
+                (), "Machines to build for, as linux64,win64,darwin64 (needs ziglang); by default this one.", "NAME,…"
+            ),
         },
         ".fmu",
     ),
     "c": Format(
-        "npred.exports.c_network:export", "A trained network, P and U = kappa(P(1)), as a C99 file.", {}, ".c", True
+        "npred.exports.c_network:export",
+        "Write a trained network, P and U = kappa(P(1)), as a C99 file.",
+        {},
+        ".c",
+        True,
     ),
     "onnx": Format(
         "npred.exports.onnx:export",
-        "A trained network, P and U = kappa(P(1)), as an ONNX graph.",
-        {"atol": Option(1e-4, "How far P and U may be from the network's.")},
+        "Write a trained network, P and U = kappa(P(1)), as an ONNX graph.",
+        {"atol": Option(1e-4, "How far P and U may differ from the network's.")},
         ".onnx",
         network=True,
         extra="onnx",

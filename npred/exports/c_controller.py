@@ -179,23 +179,19 @@ def _settings(
 
 
 def _about(controller: Controller, real: str, model: str) -> list[str]:
-    """The parts of the controller, for the head of the file."""
-    plant, observed = controller.plant, controller.observer
-    law = "frozen" if controller.adaptation is None else f"by {type(controller.adaptation).__name__}"
+    """The lines about this controller at the top of both files."""
+    plant = controller.plant
+    law = "is constant" if controller.adaptation is None else f"moves by {type(controller.adaptation).__name__}"
     units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
+    signals_of = {"X, a sample": controller.outputs, "U": plant.inputs}
+    signals_of |= {"States of P": plant.states} if controller.observer else {}
     return [
-        f"The controller of plant {plant.name}, made by npred {npred.__version__}.",
+        f"Controller for plant {plant.name}, exported by npred {npred.__version__}.",
         *([f"Model: {model}."] if model else []),
-        f"Predictor {controller.predictor.name} on {controller.predictor.nx} nodes; D_hat {law}.",
-        f"A control step each {plant.time_text(controller.dt, '')}; D_hat and t are in this unit too.",
-        f"In {real} precision; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
-        f"{'X, a sample' if observed else 'X'}: {', '.join(units.get(name, name) for name in controller.outputs)}.",
-        *(
-            [f"The state, by {type(observed).__name__}: {', '.join(units.get(name, name) for name in plant.states)}."]
-            if observed
-            else []
-        ),
-        f"U: {', '.join(units.get(name, name) for name in plant.inputs)}.",
+        f"The predictor is {controller.predictor.name} on {controller.predictor.nx} nodes. D_hat {law}.",
+        f"The control step is {plant.time_text(controller.dt, '')}; D_hat and t have the same unit.",
+        f"Numbers are {real}; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
+        *(f"{what}: {', '.join(units.get(name, name) for name in names)}." for what, names in signals_of.items()),
     ]
 
 

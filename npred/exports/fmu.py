@@ -35,9 +35,9 @@ SUFFIXES = {"linux": ".so", "darwin": ".dylib", "windows": ".dll"}
 SYSTEMS = {"linux": "linux-gnu", "darwin": "macos", "windows": "windows-gnu"}  # as zig names them
 MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
 ABOUT = {  # the categories of the log
-    "logStatusWarning": "a control step that was refused",
-    "logStatusDiscard": "a value that was refused",
-    "logStatusError": "a call that was wrong",
+    "logStatusWarning": "a control step was refused",
+    "logStatusDiscard": "a value was refused",
+    "logStatusError": "a call was wrong",
 }
 TOKENS = {2: "guid", 3: "instantiationToken"}
 ABILITIES = {
@@ -47,8 +47,8 @@ ABILITIES = {
 }
 LARGEST, SMALLEST = sys.float_info.max, sys.float_info.min
 PARAMETERS = ("tunable", "fixed")  # these roles; the others are input, output and independent
-NO_LIBRARY = "sources only, for there is no C compiler here; install one, or let the importer build them"
-NO_PLACE = "sources only, for FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
+NO_LIBRARY = "sources only, because there is no C compiler here; install one, or let the importer build them"
+NO_PLACE = "sources only, because FMI 2.0 has no name for this machine; take --fmi 3, or let the importer build them"
 
 
 class Platform(NamedTuple):
@@ -274,10 +274,10 @@ def _inputs(controller: Controller, X0: np.ndarray, arrays: bool) -> Iterator[Va
     for name, value in zip(controller.outputs, X.tolist(), strict=True):
         yield Variable(name, "input", "X", (value,), what, plant.units.get(name, ""))
     if controller.actuator == "history":
-        about = "how old that is when the control step is due; below 0 for no sample"
+        about = "age of the sample when the control step is due; below 0 if there is no sample"
         yield Variable("sample_age", "input", "SAMPLE_AGE", (0.0,), about, plant.time_unit)
         return
-    about = "commands under way, by nodes and inputs: row 1 acts now, the last was sent just now"
+    about = "commands under way (nodes, inputs): row 1 acts now, the last row was sent just now"
     if arrays:
         start = tuple(np.tile(controller.u0, nx).tolist())
         yield Variable("actuator_state", "input", "ACTUATOR", start, about, shape=(nx, plant.m))
@@ -304,28 +304,28 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
     for name in plant.states:
         yield output(f"predicted.{name}", "P", "predicted state, when the command acts", units.get(name, ""))
     if isinstance(controller.predictor, Guarded):
-        yield flag("fallback", "whether the numerical predictor answered")
+        yield flag("fallback", "true if the guard took the numerical predictor's answer")
         yield output("error", "ERROR", "the guard's estimate of the error of the command")
     if controller.actuator != "history":
         return
     yield output("age", "AGE", "age of the last sample that was used; -1 before the first", time, -1.0)
-    yield output("late", "LATE", "samples so far that came after a newer one, or were too old")
-    yield output("refused", "REFUSED", "samples so far that were not believed")
+    yield output("late", "LATE", "number of samples that came after a newer one, or were too old")
+    yield output("refused", "REFUSED", "number of samples that were too far from the model's value")
     if controller.observer:
-        yield output("renewed", "RENEWED", "how often the observer of the state was lost and began anew")
+        yield output("renewed", "RENEWED", "how often the observer of the state restarted")
     if controller.parts["observe"]:
         spread = controller.status.D_hat_spread
-        yield output("D_hat_spread", "SPREAD", "half the range of the delays that fit as well", time, spread)
+        about = "half the range of the delays that fit the samples as well"
+        yield output("D_hat_spread", "SPREAD", about, time, spread)
     if controller.watchdog:
-        yield flag("handed_over", "whether the watchdog has the command")
+        yield flag("handed_over", "true if the watchdog gives the command")
     if controller.safety:
-        yield flag("filtered", "whether the safety filter changed U")
-        yield flag("unkept", "whether no plan was found that keeps the limits")
-        yield output("kept", "KEPT", "the least limit of the predicted states, safe at 0 or above")
+        yield flag("filtered", "true if the safety filter changed U")
+        yield flag("unkept", "true if no U within the bounds was found that keeps all limits")
+        yield output("kept", "KEPT", "smallest limit h of the predicted states; safe at 0 or above")
     for name in plant.inputs if controller.settings.offsets else ():
-        yield output(
-            f"offset.{name}", "OFFSET", "estimated, added to the command before the plant", units.get(name, "")
-        )
+        about = "estimate of the constant that is added to the command"
+        yield output(f"offset.{name}", "OFFSET", about, units.get(name, ""))
 
 
 def _parameters(controller: Controller) -> Iterator[Variable]:
@@ -339,7 +339,7 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
     if law is not None and controller.settings.gamma_dt > 0:
         yield Variable("gamma", "tunable", "GAMMA", (law.gamma,), "gain of the delay law", low=SMALLEST)
     if isinstance(predictor, Guarded):
-        about = "largest error of the command that passes the guard"
+        about = "largest error of the command that the guard accepts"
         yield Variable("tolerance", "tunable", "TOLERANCE", (predictor.tolerance,), about, low=SMALLEST)
     for name, value in c_controller.settable(controller).items():
         yield Variable(f"parameter.{name}", "tunable", "PARAMETERS", (float(value),), "parameter of plant and law")

@@ -95,12 +95,12 @@ class Guarded(Predictor):
     def reference(self) -> tuple[str, list[int]]:
         """The method of the shadows and the intervals of their levels.
 
-        Of those whose first level is worth it, they decide as many examples of the data as any, but for a hundredth,
-        by the fewest operations. An example is decided where the shadows come apart by half of what passes, at most.
-        This is a matter of cost alone, for a call that no level decides is answered by `exact`. Cost is counted in
+        Among methods that are cheap enough at the first level, it is the cheapest that decides all but 1 % as many
+        examples of the data as the best. An example is decided if the shadows differ by at most half of what passes.
+        This matters for cost alone, because `exact` answers a call that no level decides. Cost is counted in
         operations of the programs, not timed, so that the same guard answers the same calls on every machine.
-        Where inputs are read at nodes only (several delays, a declared one), intervals wider than these lose what
-        inputs do together, on both grids alike: shadows are then on all nodes, and on twice as many intervals.
+        If inputs are read at nodes only (several delays, or a declared one), wider intervals miss how inputs act
+        together, on both grids alike: shadows are then on all nodes, and on twice as many intervals.
         """
         last = self.nx - 1
         if self.domain is None or not problem_of(self.plant).reads_cells:
@@ -110,14 +110,14 @@ class Guarded(Predictor):
         names = METHODS[:1] if self.exact.name == METHODS[0] else self._methods
         each = {name: one_step(name).operations(self.plant) * one_step(name).steps_of_pair for name in names}
         counts = [count for count in LADDER if 2 * count < self.nx]
-        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)  # else it is not known
+        counted = self.exact if isinstance(self.exact, Coarse | OneStep) else RK4(self.plant)  # else unknown
         P, worth = self.exact(*self.examples.calls), WORTH * counted.call_operations(self.nx - 1)
         tried: list[tuple[float, float, str, int]] = []
         for cost, name, first in sorted((count * cost, name, count) for name, cost in each.items() for count in counts):
             if cost > worth and any(undecided < 0.5 for undecided, *_ in tried):
                 break
             if any(undecided <= FEW and total < cost for undecided, total, *_ in tried):
-                break  # what comes costs more
+                break  # the remaining ones cost more
             tried.append((*self._undecided(P, name, [first * 2**k for k in range(LEVELS)]), name, first))
         enough = min(undecided for undecided, *_ in tried) + FEW
         _, name, first = min((cost, name, first) for undecided, cost, name, first in tried if undecided <= enough)
@@ -165,7 +165,7 @@ class Guarded(Predictor):
 
     @property
     def _reads_time(self) -> bool:
-        """Whether the prediction reads it, or the law that the guard compares by."""
+        """Whether the prediction, or the law by which the guard compares, depends on time."""
         return self.plant.clocked or not self.plant.rests
 
     @cached_property
@@ -191,7 +191,7 @@ class Guarded(Predictor):
         return self.judge(self.model(X, u, D_hat, t), X, u, D_hat, t)[1]
 
     def beyond(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """How far inputs are from the data, as a share of how far the model is trusted, (B,); 0 where it has none."""
+        """The distance of inputs from the data, relative to the trusted distance, (B,); 0 without a domain."""
         if self.domain is None:
             return np.zeros(len(X))
         return self.domain.distance(X, u, D_hat, self.plant.phase(t))
@@ -277,9 +277,9 @@ def guarded(model: Predictor, tolerance: float = 0.01, *, exact: Predictor | Non
     model : Predictor
         A network from npred.load, or any other.
     tolerance : float, in the inputs' units, default 0.01
-        Largest error of U that is to pass.
+        Largest error of U that is accepted.
     exact : Predictor, optional
-        Answers in place of the model; by default RK4, or what suits the data that a trained model carries.
+        Answers in place of the model; by default RK4, or a method that suits the data of a trained model.
 
     Returns
     -------

@@ -136,17 +136,17 @@ class Findings:
             for name, deviations in self.assumed.items():
                 if abs(deviations) > ODD:
                     lines.append(
-                        f"The log asks for another value of {name}, {abs(deviations):.1f} times as far as was allowed. "
-                        f"Free it, or check it."
+                        f"The log fits only with another value of {name}: its error is {abs(deviations):.1f} times "
+                        f"`model_error`. Free it, or check it."
                     )
             if self.inflation > 2:
                 lines.append(
-                    f"Errors stay on one side for {self.inflation:.1f} samples: the model misses something in the log. "
-                    "The intervals are wider for it, but they hold for this model only."
+                    f"Errors keep their sign for {self.inflation:.1f} samples: the model misses something in the log. "
+                    "The intervals are widened for this, but they are valid for this model only."
                 )
         errors = self.validation.errors
         if not errors:
-            return [*lines, "The log is too short to hold a part of it back."]
+            return [*lines, "The log is too short to hold back a part for validation."]
         others = ", ".join(f"{words} by {self._error(name)}" for name, words in RIVALS.items() if name in errors)
         return [
             *lines,
@@ -156,14 +156,14 @@ class Findings:
 
     def _error(self, name: str) -> str:
         error = self.validation.errors[name]
-        return f"{error:.3g}" if error < RUN_AWAY else "more than any number here, since they run away"
+        return f"{error:.3g}" if error < RUN_AWAY else "more than any number, because they diverge"
 
     def _of_model(self) -> list[str]:
         """Why there is no answer at all."""
         if not self.accurate:
             return [
-                "There is no answer: the model is too fast for the samples, and the error of its integration is not "
-                "known. Bound the parameters, or record with a shorter period."
+                "There is no answer: the model is too fast for the samples, so that the error of its integration "
+                "is unknown. Bound the parameters, or record with a shorter period."
             ]
         if self.validation.better is not None:
             return [
@@ -191,11 +191,12 @@ class Findings:
             ]
         if self.early[j] < 0:
             return [
-                f"{unknown} the log fits best with {name} {time(-self.early[j], '.3g')} before its command. It is "
-                f"logged late, or not held between two rows: check the clocks, try --hold linear. {span} is possible."
+                f"{unknown} the log fits best with {name} {time(-self.early[j], '.3g')} before its command. Either it "
+                "is logged late, or it is not constant between two rows: check the clocks, try --hold linear. "
+                f"Any delay of {span} is possible."
             ]
         if self._off:
-            return [f"{unknown} the plant as it was given does not explain the log."]
+            return [f"{unknown} the plant, with its parameters, does not explain the log."]
         if self.recurring[j] < self.high[j]:
             return [
                 f"{unknown} {name} repeats itself after {time(self.recurring[j], '.3g')}, so a delay is known only up "
@@ -203,14 +204,14 @@ class Findings:
             ]
         if self.several:
             return [
-                f"{unknown} several delays of {span} fit about as well, of which {time(self.D[j], '.3g')} is the best. "
+                f"{unknown} several delays of {span} fit about equally well; {time(self.D[j], '.3g')} is the best. "
                 "Record steps at random times."
             ]
         if other.explains:
             return [
                 f"{unknown} a first-order lag of {time(other.lag, '.3g')} explains the "
                 f"log as well as a delay of {time(self.D[j], '.3g')}, or better. Any delay of {span} is possible.",
-                f"Sharp steps of {name}, and samples closer to each other after them, would tell a delay from a lag.",
+                f"To tell a delay from a lag, record sharp steps of {name}, with more samples after each step.",
             ]
         if high >= self.high[j] - 1e-9 * self.high[j]:
             what = "fits any delay" if low <= 0 else "fits delays"
@@ -219,13 +220,14 @@ class Findings:
                 f"Record larger steps of {name}, or try longer delays."
             ]
         if self.lagged[j]:
-            return [f"{unknown} a shorter delay with a lag behind it fits about as well: {span}. Record sharper steps."]
+            rival = f"a shorter delay with a lag behind it fits about equally well: {span}"
+            return [f"{unknown} {rival}. Record sharper steps."]
         if not self.identifiable[j]:
             return [f"{unknown} any delay of {span} fits. Record larger steps of {name}."]
         periods = f"{self.D[j] / self.period:.2f} sampling periods"
         lines = [f"{name} arrives {time(self.D[j], '.4g')} late, {periods}; with 95 % between {ends}."]
         if low <= 0:
-            lines.append(f"No delay of {name} at all fits the log as well.")
+            lines.append(f"The log fits without a delay of {name}, too.")
         return lines + self._of_lag(j)
 
     def _of_lag(self, j: int) -> list[str]:
@@ -244,7 +246,7 @@ class Findings:
             return [f"{name} is not identifiable: the log fits {above}."]
         lines = [f"{name} = {value:.4g}, with 95 % between {low:.4g} and {high:.4g}."]
         if abs(correlation) > 0.95:
-            lines.append(f"The log hardly tells {name} from the delay: their errors correlate by {correlation:.2f}.")
+            lines.append(f"The log hardly tells {name} from the delay: their errors correlate with {correlation:.2f}.")
         return lines
 
     def _of_combination(self) -> list[str]:

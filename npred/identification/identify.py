@@ -249,10 +249,10 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
     for ends, other, certain in zip(findings.interval, others, findings.identifiable, strict=True):
         ends[0] = ends[0] if certain else min(ends[0], other.least)
     if whole:
-        lines.append("The command before the recording is taken for its first one.")
+        lines.append("Before the recording starts, its first command is assumed.")
     else:
         first = plant.time_text(high.max(), ".3g")
-        lines.append(f"The first {first} are used for the commands only, since one from before may still act then.")
+        lines.append(f"The first {first} give only commands, because commands from before may still act then.")
     windows = None
     if settings.time_varying:  # each by itself
         windows = _windows(delays, low, high, settings.seed)

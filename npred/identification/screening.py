@@ -47,7 +47,7 @@ def of_clock(series: Sequence[TimeSeries], unit: str) -> list[str]:
         notes.append(f"{which} the stamp of the row before: the later one counts.")
     if run[-1]:
         begins = _listed(rows[np.flatnonzero(np.diff(run)) + 1])
-        notes.append(f"The clock begins anew at {begins}: each part is taken as a recording.")
+        notes.append(f"The clock restarts at {begins}: each part is taken as a recording.")
     step = np.where(np.diff(run) > 0, 0.0, np.diff(t))
     gaps = np.flatnonzero(step > GAP * np.median(step[step > 0])) if (step > 0).any() else np.zeros(0, dtype=int)
     if len(gaps):
@@ -79,7 +79,7 @@ def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
         if stuck.any() and moving > len(y) / 4 and (counts[~stuck] - 1).sum() < ALIVE * moving:
             for begin, count in zip(begins[stuck], counts[stuck], strict=True):
                 value = y[begin]
-                end = ", its least value" if value == y.min() else ", its largest value" if value == y.max() else ""
+                end = ", its smallest value" if value == y.min() else ", its largest value" if value == y.max() else ""
                 first, last = log.rows[places[[begin, begin + count - 1]]]
                 notes.append(f"{name} stays at {value:.4g}{end} from row {first} to row {last}: these are left out.")
                 column[places[begin + 1 : begin + count]] = np.nan

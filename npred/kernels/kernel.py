@@ -228,7 +228,7 @@ def callback(function: Callable[..., Any], arguments: str, fixed: Mapping[str, n
     def call(shape: Shape, *values: Any) -> None:
         if failure.error is None:
             try:
-                with np.errstate(all="ignore"):  # a lost loop is NaN, and no cause for a warning
+                with np.errstate(all="ignore"):  # a loop that overflows is NaN, and no cause for a warning
                     passed = zip(argument_names, values[:-1], strict=True)
                     function(*(viewed(name, value, shape) for name, value in passed))
             except BaseException as error:  # it cannot pass through C

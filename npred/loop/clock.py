@@ -12,15 +12,15 @@ STAMPS = (
     "now_at",  # position of the state `now` that the model goes on from
     "base_at",  # position of the state `base` of the last used sample
     "sample_at",  # position of the last used sample
-    "renewed_at",  # position where the filter last began anew
+    "renewed_at",  # position where the filter last restarted
     "tick",  # position of the last control step that the observer of the delay did
     "lag",  # control steps that it runs behind, the largest age of a sample
     "calls",  # 0 before the first call
     "late",  # samples that came too late, or after a newer one
-    "refused",  # samples that were not believed
-    "renewed",  # times that the filter began anew
-    "stray",  # 1 where a state far from the box was believed
-    "handed",  # 1 where the watchdog has U
+    "refused",  # samples that were refused, because they were too far from the model
+    "renewed",  # times that the filter restarted
+    "stray",  # 1 if a state far from the box was accepted
+    "handed",  # 1 if the watchdog gives U
     "moving",  # 1 while U goes from the law to the watchdog's or back
 )
 
@@ -35,7 +35,7 @@ class Clock:
     `refused` (outputs).
 
     sent is the last command, before the mean of those before it in the control step of its call, D the delays by which
-    the last call read the commands, and refused where the samples in a row begin in which an output was not believed.
+    the last call read the commands, and refused the first of the samples in a row in which an output was refused.
     """
 
     def __init__(self, n: int, m: int, outputs: int) -> None:

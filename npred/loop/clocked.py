@@ -27,7 +27,7 @@ from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 from npred.plants.base import Plant
 
-ON_A_CLOCK = {  # what runs on a real clock, and what to do without
+ON_A_CLOCK = {  # parts that need a real clock, and the cure if there is none
     "timing": "leave it out",
     "observer": "step npred.controller with it, or give measurement=npred.Measurement(observer=a function of yours)",
     "watchdog": "step npred.controller with it",
@@ -47,7 +47,7 @@ def check(loop: Loop) -> None:
 
 
 def serves(plant: Plant, part: str = "timing") -> None:
-    """Raise ConfigError for a plant that no loop on a real clock, which that part needs, is made for."""
+    """Raise ConfigError for a plant whose loops cannot run on a real clock, which that part needs."""
     if plant.declares_delay:
         what = f"expected a plant that does not declare its delay, got {plant.name}"
         raise ConfigError(f"{part}: {what}; {ON_A_CLOCK[part]}")

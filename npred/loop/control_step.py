@@ -41,7 +41,7 @@ def check(name: str, dt: float, D: ArrayLike) -> None:
     """Raise ConfigError for a control step longer than a delay above 0 that is estimated: u is one command then."""
     delays = np.ravel(np.asarray(D, dtype=float))
     if (longer := delays[(delays > 0) & (dt > delays)]).size:
-        what = f"expected at most the delay, {longer.min():g}, which no law finds from commands that are longer"
+        what = f"expected at most the delay, {longer.min():g}, because no law can estimate it from longer commands"
         raise ConfigError(f"{name}: {what}, got {dt:g}; shorten the step, or freeze the estimate")
 
 

@@ -27,6 +27,7 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import RK4, Predictor
 
+HELD = "keep the actuator at the last U and pass the next sample"
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
 SIGMAS = 6.0  # standard deviations of an estimated output, times `outlier_limit`: beyond them it is not believed
@@ -83,17 +84,17 @@ class Controller(InNotebook):
     those of npred.simulate up to rounding, and those of its export in C to the bit. Its memory is not shared, so one
     controller belongs to one thread; a pickled one goes on where it stood.
 
-    With "history" the model says what X must be by now, X_hat, from the last sample and the commands. A sample that is
-    further from it than `outlier_limit` times half the box, or |X_hat| where that is more, in any state, is not
-    believed: X_hat takes its place, `missed` counts it, and an observer of the delay goes on without it. Such samples
-    in a row for D_hat are, within six half widths of the box's middle, and ten times as far after each further
-    D_hat: X has jumped. `outlier_limit=None` believes all; so does a state without a box.
+    With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in any
+    state it is farther from X_hat than `outlier_limit` times half the box, or times |X_hat| if that is more. X_hat then
+    takes its place, `missed` counts it, and an observer of the delay goes on without it. If samples are refused for
+    D_hat seconds, X has jumped: the next one is accepted within six half widths of the box's middle, and ten times as
+    far after each further D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
     `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
-    believes an output within 6 `outlier_limit` standard deviations, and begins anew where it did not believe one for
-    D_hat. `watchdog` says what U is where no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
+    accepts an output within 6 `outlier_limit` standard deviations, and restarts if it refused one for D_hat seconds.
+    `watchdog` gives U if no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
     declares (npred.SafetyFilter); with an uncertain delay it needs "history".
 
     Raises ConfigError for parts that do not fit together.
@@ -136,7 +137,7 @@ class Controller(InNotebook):
         array_checks.within(
             "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
         )
-        if not plant.declares_delay:  # of a delay that is not known, the longest of the law
+        if not plant.declares_delay:
             longest = D_hat if law is None else law.bounds[1]
             if law is not None:
                 control_step.check("dt", dt, longest)
@@ -326,8 +327,8 @@ class Controller(InNotebook):
         """U (m,) for the state X (n,) and the actuator state u (nx, m) on the predictor's nodes, both measured now.
 
         The predictor integrates u, of which the update law compares the values at the nodes with kappa(P). `t`,
-        `sampled_at` and `applied` are for actuator="history". After a DivergedError the last U is to be held: with it
-        the time and the history of commands go on, and all else, U's memory too, stands as before.
+        `sampled_at` and `applied` are for actuator="history". After a DivergedError keep the actuator at the last U:
+        the controller assumes so, and its time goes on; nothing else has changed.
 
         Parameters
         ----------
@@ -356,7 +357,7 @@ class Controller(InNotebook):
         ConfigError
             For shapes and times that do not fit and for what are no real numbers, masked arrays among them.
         DivergedError
-            For a measurement that is not finite, or that the prediction leaves the finite numbers from.
+            For a measurement that is not finite, or from which the prediction overflows.
         """
         if (u is None) != self._reads_commands or (X is None and not self._reads_commands):
             expected, came = "X alone", "u too"
@@ -366,7 +367,7 @@ class Controller(InNotebook):
             raise ConfigError(f"step: {what}; give what is measured")
         now, gap, age = self._times(t, sampled_at)
         if applied is not None and not self.keeps_commands:
-            what = "expected a controller that keeps its commands, got one that is given u"
+            what = "expected a controller that reads u from its commands, got one that is given u"
             raise ConfigError(f"applied: {what}; omit it")
         sent = None if applied is None else array_checks.floats("applied", applied)
         if sent is not None and (sent.shape != (self.plant.m,) or not np.isfinite(sent).all()):
@@ -378,7 +379,7 @@ class Controller(InNotebook):
         before = None
         if self._awaits_X:
             if not came or not np.isfinite(self._Y).all():
-                raise DivergedError("step: expected a finite first X, got none; hold the last U and measure again")
+                raise DivergedError(f"step: expected a finite first X, got none; {HELD}")
             before = self.state()
             past = self._past(self._Y)
             _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
@@ -591,7 +592,7 @@ class Controller(InNotebook):
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._reads_commands and seconds > self.longest_D_hat:
-            what = f"expected at most {self.plant.time_text(self.reach)}, back to which the commands are kept"
+            what = f"expected at most {self.plant.time_text(self.reach)}, the length of the history"
             raise ConfigError(f"D_hat: {what}, got {seconds:g}; make another controller with that D_hat")
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
@@ -621,11 +622,11 @@ class Controller(InNotebook):
         reason = {
             engine.MEASUREMENT: "expected finite X and u, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {kept}, back to which commands are kept, got {came:g}; "
+            engine.TOO_LONG: f"expected a delay of at most {kept}, the length of the history, got {came:g}; "
             "raise history_length",
         }[code]
-        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is booked as sent" if booked else ""
-        return f"step: {reason}; hold the last U and measure again{sent}"
+        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""
+        return f"step: {reason}; {HELD}{sent}"
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""

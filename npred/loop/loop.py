@@ -16,7 +16,7 @@ from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
 
-Actuator = Literal["measured", "history"]  # where the controller has the actuator state from
+Actuator = Literal["measured", "history"]  # how the controller knows the commands under way, u
 MEASURED, HISTORY = get_args(Actuator)
 
 PERFECT = Measurement()
@@ -39,9 +39,9 @@ class Loop:
     u0: Any = None  #: inputs before t = 0: numbers (m,), "equilibrium", "law" (kappa(X0)), rows (k, m) or a function
     actuator: Actuator = "measured"  #: "measured": u is; "history": u is read at D_hat from the controller's commands
     observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
-    watchdog: Watchdog | None = None  #: says what U is where no sample comes
+    watchdog: Watchdog | None = None  #: gives U if no sample comes
     safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
-    outlier_limit: float | None = 1.0  #: samples further from the model than this times half the box are not believed
+    outlier_limit: float | None = 1.0  #: samples farther from the model than this times half the box are refused
     max_sample_age: float | None = None  #: largest age of a sample that is used; by default 20 control steps
     history_length: float | None = None  #: how long commands are kept; by default the largest D_hat
     D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest

@@ -157,6 +157,6 @@ def observed(observer: Observer) -> Callable[..., None]:
             what = f"expected to return {X_hat.T.shape}, a row per loop"
             raise ConfigError(f"observer: {what}, got {values.shape}; return that")
         X_hat[:] = values.T
-        Y[:] = X_hat  # an observer of the delay takes the state for a sample, since a sample may lack states
+        Y[:] = X_hat  # the observer of the delay reads X_hat, because Y may be incomplete
 
     return step

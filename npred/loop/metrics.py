@@ -13,7 +13,7 @@ from npred.plants.speed import settled
 
 SETTLED = 0.01  # times size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
-LOST = 0.2  # times size(X*): a loop that ends further away is lost
+FAR = 0.2  # times size(X*): a loop that ends further away diverges
 TAIL = 0.1  # share of the horizon: the radius is the supremum over this last share
 NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width of its differences, as a share of the delay
 CELLS = 4000  # parts of the horizon, along which the gain of a plant that tracks is integrated
@@ -77,7 +77,7 @@ def target(plant: Plant, loops: Trajectories) -> np.ndarray:
 
 
 def radius(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
-    """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that left the finite numbers.
+    """sup |X - X*| over the last tenth of the horizon, (...); infinite for a loop that overflows.
 
     Here and below X* is (n,), or (nt, n) for a plant that tracks, or whose set-point moves: `target(plant, loops)`.
     """
@@ -93,7 +93,7 @@ def in_loop(loops: Trajectories, D: float) -> np.ndarray:
 
     D is a whole number of steps. Before 2 D the history of U has the jump from its past to the first control in it, and
     every scheme is of first order. Where inputs have several delays, D is the longest of them: P goes on past the
-    others with the values of kappa. Infinite for a loop that left the finite numbers.
+    others with the values of kappa. Infinite for a loop that overflows.
     """
     k = round(D / (loops.t[1] - loops.t[0]))
     gap = _length(loops.P[..., 2 * k : -k, :] - loops.X[..., 3 * k :, :]).max(axis=-1)
@@ -139,7 +139,7 @@ def decay_rate(loops: Trajectories, X_star: ArrayLike) -> np.ndarray:
 
 @np.errstate(over="ignore")
 def _length(gap: np.ndarray) -> np.ndarray:
-    """|gap| over the last axis; infinite, without a warning, in a loop that is about to leave the finite numbers."""
+    """|gap| over the last axis; infinite, without a warning, in a loop that is about to overflow."""
     return np.linalg.norm(gap, axis=-1)
 
 
@@ -169,8 +169,8 @@ def converged(radii: ArrayLike, X_star: ArrayLike) -> np.ndarray:
     return np.asarray(radii) <= SETTLED * size(X_star)
 
 
-def lost(loops: Trajectories, X_star: ArrayLike, far: float = LOST) -> np.ndarray:
-    """True, (...), for a loop that ends further from X* than `far` of size(X*), or left the finite numbers."""
+def diverged(loops: Trajectories, X_star: ArrayLike, far: float = FAR) -> np.ndarray:
+    """True, (...), for a loop that overflows, or ends further from X* than `far` of size(X*)."""
     return ~(radius(loops, X_star) <= far * size(X_star))
 
 

@@ -40,7 +40,7 @@ STATE = [
     *_rows("n", "X_hat"),  # what the controller sees or estimates of X: X itself by default
     *_rows("n", "Y"),  # the samples that arrive now, NaN where none does: X itself by default
     *_rows("m", "D"),  # the delay of each input
-    *_rows("m", "D_seen"),  # that by which the controller reads the commands: D itself where u is measured
+    *_rows("m", "D_seen"),  # the delay by which the controller reads the commands: D itself if u is measured
     *_rows("m", "speed", start=1.0),  # the speed of phi(t) = t - D
     *_lane("longest", start=0.0),  # the plant's longest delay
     Signal("observer", ("observer",)),  # what an observer of the delay remembers
@@ -55,16 +55,16 @@ STATE = [
     Signal("P", ("nx", "n")),
     *_rows("m", "U", start=0.0),
     *_lane("phi", start=0.0),
-    *_lane("phi_before"),  # that of the step before; NaN at first
+    *_lane("phi_before"),  # phi of the step before; NaN at first
     *_lane("N"),
     *_rows("m", "U0", "U1", "share"),  # the delayed input for the first share of a step, and for the rest
     *_lane("drawn", start=0, kind="int64"),  # samples of the record taken so far
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
     *_lane(
         "kept", "filtered", "unkept", start=0.0
-    ),  # a safety filter: the least h; 1 where it changed U; 1 where in vain
-    Signal("plan", ("plan",), 0.0),  # what a safety filter means to add to kappa
-    *_rows("m", "low", "high", "D_moved"),  # the bounds of U that it has, and the delays of a prediction
+    ),  # a safety filter: the least h; 1 if it changed U; 1 if no U keeps all limits
+    Signal("plan", ("plan",), 0.0),  # the plan of a safety filter: what it will add to kappa
+    *_rows("m", "low", "high", "D_moved"),  # the bounds of U for the filter, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
@@ -72,8 +72,8 @@ STATE = [
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
     *_rows(
         "outputs", "sample", "innovation", "fate"
-    ),  # the sample that an observer of the state gets, and how that fits
-    Signal("filter", ("filter",)),  # and what it remembers
+    ),  # the sample for an observer of the state, its error, and whether it was used
+    Signal("filter", ("filter",)),  # what that observer remembers
 ]
 RECORD = [
     Signal("X", ("row", "n")),
@@ -91,7 +91,7 @@ RECORD = [
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
     Signal("filtered", ("row",), 0, "bool"),  # whether the safety filter changed U since the row before
     *_lane("changes", start=0, kind="int64"),  # the steps in which it did
-    *_lane("unkept", start=0, kind="int64"),  # the steps in which it found no plan that keeps h
+    *_lane("unkept", start=0, kind="int64"),  # the steps in which no U was found that keeps all limits
 ]
 SETTINGS = [
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
@@ -116,18 +116,18 @@ SETTINGS = [
     Signal("p", ()),
     Signal("truth_p", ()),  # the parameters of the simulated plant
     Signal("ratios", ()),  # (m,), the delay of each input as a share of the longest
-    Signal("law", ()),  # what an observer of the delay is set to
-    Signal("guard", ()),  # what the guard of the predictor is set to
+    Signal("law", ()),  # settings of an observer of the delay
+    Signal("guard", ()),  # settings of the guard
     *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # samples; times in control steps
     *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
     *(Signal(name, ()) for name in measurement.PER_STATE),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
-    Signal("sensing", ()),  # what an observer of the state is set to
-    Signal("anew", ()),  # what it begins with where it is lost; without one the middle of the box (n,)
-    Signal("widens", ()),  # 1 where that is a variance
+    Signal("sensing", ()),  # settings of an observer of the state
+    Signal("anew", ()),  # its memory for a restart; without an observer the middle of the box (n,)
+    Signal("widens", ()),  # 1 for the variances in it
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
     Signal("jump", ()),  # (m,), how far U moves in a call while the watchdog takes or returns it
-    Signal("safety", ()),  # what a safety filter is set to
+    Signal("safety", ()),  # settings of a safety filter
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
@@ -148,10 +148,10 @@ EVENTS = [  # one loop on a real clock; times since its start, in control steps
     Signal("sent_count", (), 0, "int64"),
     Signal("acting", ("m",), 0, "int64"),  # the number of the command that acts now
     Signal("unsaid", (), 0, "int64"),  # 1 where the last command was lost
-    Signal("refusals", (), 0, "int64"),  # calls that gave no U to send
+    Signal("refusals", (), 0, "int64"),  # calls that gave no U
     Signal("X_hat", ("row", "n")),
     Signal("age_then", ("row",)),  # the age of the last used sample
-    Signal("handed_over", ("row",), 0, "bool"),  # whether the watchdog has U
+    Signal("handed_over", ("row",), 0, "bool"),  # whether the watchdog gives U
     Signal("sample_count", None, 0, "int64"),
     Signal("tells", None, 0, "int"),  # whether the controller gets to know that a command was lost
 ]

@@ -8,14 +8,17 @@ import numpy as np
 class Status(NamedTuple):
     """The state of a controller after its last call; times in the plant's unit.
 
-    `D_hat_spread` is half the range of the candidates that an observer of the delay cannot tell apart, NaN without one.
-    `age` is how old the last used sample is, infinity before the first. `innovation` (outputs,) is what that sample
-    differed from what the model said of its time, NaN before the first. `late` counts the samples that were not used,
-    for they came after a newer one or were older than `max_sample_age`, `refused` those that the gate did not believe,
-    `missed` the last of these in a row, `renewed` how often the observer of the state was lost and began anew.
-    `handed_over` says whether the watchdog has U, `offset` (m,) what an observer of the state finds at the inputs,
-    `fallback` and `error` what a guard says. With a safety filter `filtered` says whether it changed U, `kept` is the
-    least h = safe(P, t) of the predicted states, and `unkept` whether it found no plan that keeps the limits.
+    D_hat, D_hat_spread: the estimate of the delay, and half the range of the candidates that fit the samples as well;
+    NaN without an observer of the delay.
+    age: the age of the last used sample, infinity before the first.
+    innovation (outputs,): the last sample minus the model's value, NaN before the first.
+    late: number of samples that came after a newer one, or were older than `max_sample_age`. They were not used.
+    refused: number of samples farther from the model than `outlier_limit` allows. missed: the latest of these in a row.
+    renewed: how often the observer of the state restarted. offset (m,): its estimate of a constant added to U.
+    handed_over: whether the watchdog gives U.
+    fallback, error: whether the guard took the numerical answer, and its estimate of the error of U.
+    filtered: whether the safety filter changed U. kept: the smallest h = safe(P, t) of the predicted states.
+    unkept: whether it found no U within the bounds that keeps all limits.
     """
 
     D_hat: float

@@ -34,7 +34,7 @@ class OnAClock:
     `X_hat` (..., nt, n) is the state that the controller predicted from, `age` (..., nt) how old its last used sample
     is, in seconds, `handed_over` (..., nt) whether the watchdog has U. Of each loop (...): the calls that were
     `skipped`, the commands `lost`, the calls that gave no U (`refusals`), the samples that came too `late` and those
-    that the gate `refused`, and `offset` (..., m), what an observer of the state found at the inputs in the end.
+    that were `refused`, and `offset` (..., m), the last estimate of a constant that is added to U.
     """
 
     X_hat: np.ndarray
@@ -60,7 +60,7 @@ class Trajectories:
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
-    U was changed, likewise, and `changes` (...) in how many steps; in `unkept` (...) it found no plan to keep limits;
+    U was changed, likewise, `changes` (...) in how many steps, and `unkept` (...) in how many no U kept all limits;
     `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
     `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
     loops on a real clock add, else None. `target` (nt, n) and `u_target` (nt, m) are X* and U* of the set-points of the

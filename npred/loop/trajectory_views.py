@@ -31,10 +31,10 @@ def summary(loops: "Trajectories") -> str:
     for name, values in named.items():
         unit = f" {loops.time_unit}" if name == "D_hat" else ""
         lines.append(f"  {name:{width}}  {_span(values)}, ends at {_span(values[..., -1])}{unit}")
-    lost = loops.escaped[loops.escaped >= 0]
-    if lost.size:
-        what = "it leaves" if not shape else f"{lost.size} of {count} leave"
-        lines.append(f"  {what} the finite numbers, first at control step {lost.min()}")
+    overflown = loops.escaped[loops.escaped >= 0]
+    if overflown.size:
+        what = "it overflows" if not shape else f"{overflown.size} of {count} overflow"
+        lines.append(f"  {what}, first at control step {overflown.min()}")
     if overtaking := infeasible(loops):
         lines.append("  commands would overtake each other, {}\n  {}".format(*overtaking))
     if words := at_bound(loops):

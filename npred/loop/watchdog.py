@@ -17,9 +17,9 @@ from npred.prediction.methods import RK4
 
 @dataclass(frozen=True)
 class Watchdog:
-    """U is what `then` says where the last used sample is older than `after`.
+    """U is given by `then` while the last used sample is older than `after`.
 
-    Until then, and as long as the watchdog has U, the state is predicted by the model.
+    Until then, and as long as the watchdog gives U, the model predicts the state.
 
     Parameters
     ----------

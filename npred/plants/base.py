@@ -39,7 +39,7 @@ class Plant(InNotebook):
     """
 
     traced: ClassVar[bool] = True
-    spec: str | None = None  # what npred.plants.resolve takes for it, in another process say; a script's own has none
+    spec: str | None = None  # the name by which another process finds it; a class in a script has none
     law_table: Mapping[str, Any] = {}  # the name of the law that was designed for it, and what that took
 
     def __init__(
@@ -48,7 +48,7 @@ class Plant(InNotebook):
     ):  # fmt: skip
         parts = declared.read(name, declaration, overrides)
         self.name, self.declaration = name, declared.completed(name, declaration, kappa)
-        self.declared, self.law = declaration, kappa  # what the author wrote, and the law in place of theirs
+        self.declared, self.law = declaration, kappa  # the class as written, and the law in place of its kappa
         self.declares_kappa = (kappa or parts.kappa) is not None
         self.source = source or registry.declaring(declaration)
         self.declares_V, self.declares_delay = parts.V is not None, parts.delay is not None
@@ -58,7 +58,7 @@ class Plant(InNotebook):
         self.states, self.inputs, self.box = parts.states, parts.inputs, parts.box
         self.parameters = setpoint.ReadOnly(parts.parameters)
         rest = setpoint.of_rest(self.states, self.inputs) if self.declares_setpoint else ()
-        self.p_names = (*self.parameters, *rest)  # of all numbers that its functions read as p
+        self.p_names = (*self.parameters, *rest)  # the names of all numbers that its functions read as p
         guess = getattr(kappa, "guess", parts.guess)  # a law that was designed has that of its rest
         self.guess = np.zeros(self.n) if guess is None else np.array(guess)
         self.input_bounds = None if parts.input_bounds is None else list(parts.input_bounds)
@@ -219,7 +219,7 @@ class Plant(InNotebook):
         for _ in range(100):
             if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
                 break
-            step, scale = np.linalg.solve(J, g), 1.0  # which is halved while the residual grows
+            step, scale = np.linalg.solve(J, g), 1.0  # the step is halved while the residual grows
             while scale > 1e-8 and not np.linalg.norm(self._at_rest(X - scale * step)[0]) <= np.linalg.norm(g):
                 scale /= 2
             if scale <= 1e-8 or np.array_equal(X - scale * step, X):

@@ -99,7 +99,7 @@ class BlackBox(Plant):
         points += [] if last is None else [np.asarray(last, dtype=float)]
         shape = points[0].shape[:-1] if points else t.shape
         if len(shape) == 1 and t.shape in ((), shape) and all(a.shape[:-1] == shape for a in points):
-            rows = [a.view() for a in points]  # as a loop calls it, where each microsecond is paid often
+            rows = [a.view() for a in points]  # loops call this often: no copies
         else:
             shape = np.broadcast_shapes(t.shape, *(a.shape[:-1] for a in points))
             rows = [np.broadcast_to(a, (*shape, a.shape[-1])).reshape(-1, a.shape[-1]) for a in points]
@@ -153,7 +153,7 @@ class BlackBox(Plant):
             if batched[0] and arguments[0].ndim == 2:
                 harmless[0] = self.guess[None]
             for a in (a for a, b in zip(harmless, batched, strict=True) if b):
-                a.flags.writeable = False  # as those of the loop: a function that writes to them fails here too
+                a.flags.writeable = False  # as in a loop: a function that writes to its arguments fails here already
             try:
                 self._declared(name, harmless)
             except UNDEFINED:

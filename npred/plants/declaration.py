@@ -31,7 +31,7 @@ ELSEWHERE = {  # where npred has what others declare by these names
     "equilibrium": "; did you mean guess?", "x_eq": "; did you mean guess?", "dynamics": "; did you mean f?",
     **dict.fromkeys(("controller", "control", "law"), "; did you mean kappa?"), "lyapunov": "; did you mean V?",
 }  # fmt: skip
-MARKUP = set("$\\")  # what matplotlib would read as mathematics
+MARKUP = set("$\\")  # matplotlib would read these as mathematics
 
 
 def expected(words: str, cure: str, condition: Callable[[Any], bool] = lambda value: True) -> WrapValidator:

@@ -70,7 +70,7 @@ class Past:
     limits: np.ndarray | None = None
 
     def of(self, loops: slice) -> "Past":
-        """Those of some of the loops."""
+        """The inputs of some of the loops."""
         return Past(self.held[loops], self.span[loops], self.course, self.limits)
 
     def steps(self, count: int, dt: float) -> np.ndarray:

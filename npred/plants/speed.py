@@ -64,7 +64,7 @@ def _crossing(plant: Plant) -> float:
     try:
         with np.errstate(all="ignore"):
             speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(high > low, (high - low) / 2, 1.0)
-    except FAILURES:  # which the check of the plant, or the loop, says
+    except FAILURES:  # the check of the plant, or the loop, reports it
         return 0.0
     moving = speeds[np.isfinite(speeds) & (speeds > 0)]
     return float(np.median(moving)) if moving.size else 0.0

@@ -108,7 +108,7 @@ def test_a_side_that_is_killed_ends_the_other_with_its_log_whole(start, tmp_path
     os.kill(both[place], signal.SIGKILL)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 1
-    assert "expected a whole run" in err
+    assert "expected a complete run" in err
     assert not any(map(runs, both))
     assert (assert_whole(path) == "# end: the plant is gone") == (place == 1)
 

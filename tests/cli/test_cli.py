@@ -110,7 +110,7 @@ def test_set_reruns_what_depends_on_it(call: Call):
         ("u.q - x.h", "u.q - M.log(x.h - 1)", r"plant Tank: f \(tank.py:5\) is not finite at h = .*; shrink box"),
         ("u.q - x.h", "u.q, x.h", r"plant Tank: f \(tank.py:5\) expected to return 1 value, got 2; return"),
         ("(x.h - 1)", "(u.q - 1)", r"plant Tank: V failed at tank.py:12: NameError: .*; only f knows the inputs"),
-        ("def V", "def _V", r"plant Tank: found no V\(x, t, p, M\).*; npred plants check offers one"),
+        ("def V", "def _V", r"plant Tank: expected V\(x, t, p, M\).*, found none; npred plants check offers one"),
     ],
 )
 def test_what_does_not_fit_the_plant_is_told_before_anything_runs(call: Call, fakes: Path, stage, old, new, words):

@@ -151,7 +151,9 @@ def test_a_controller_with_a_numerical_predictor(export, trained):
     flags = ("--predictor", "heun", "--precision", "float", "--actuator", "history", "--nx", "21")
     done = export("controller", *flags, model=str(trained / "p.toml"))
     assert done.exit_code == 0, done.output
-    assert "warning: the paper's law (12) is made for a measured u, and loses 16 of 30 loops" in done.stderr
+    assert (
+        "warning: the paper's law (12) is made for a measured u; with u from the commands 16 of 30 loops" in done.stderr
+    )
     assert "float precision" in done.stdout and "int npred_step(npred_controller *self, const float *X, float *U);" in (
         Path("npred/npred.h").read_text()
     )
@@ -226,7 +228,7 @@ def test_an_fmu_to_a_file(export, trained, version):
 def test_an_fmu_of_a_network_says_what_it_holds(export, monkeypatch):
     monkeypatch.setattr(c_files, "compiler", lambda: None)
     done = export("fmu", "-o", "net.fmu", "--nx", "21")
-    assert done.exit_code == 0 and "as FMI 3.0, sources only, for there is no C compiler here" in done.stdout
+    assert done.exit_code == 0 and "as FMI 3.0, sources only, because there is no C compiler here" in done.stdout
 
 
 @pytest.mark.parametrize(

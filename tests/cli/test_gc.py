@@ -173,7 +173,7 @@ def test_a_pipeline_file_that_is_broken_now_keeps_what_it_last_asked_for(call: C
     done = call("gc", "tiny.toml")
     assert done.stdout == "nothing to delete\n"
     (warning,) = done.stderr.splitlines()
-    assert "expected a TOML file" in warning and "what it last asked for stays" in warning
+    assert "expected a TOML file" in warning and "the results that it last used stay" in warning
 
 
 def test_the_plant_of_a_pipeline_that_another_user_ran_is_not_run(call: Call, elsewhere: Path, monkeypatch):

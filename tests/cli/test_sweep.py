@@ -166,7 +166,7 @@ def test_the_folders_of_two_pipelines_of_one_name_are_two(sweep: Call, call: Cal
     first = Path("sweep-tiny/table.csv").read_text()
     second = call("sweep", "other/tiny.toml", "--jobs", "1", "--to", "train", "--set", "seed=0:2")
     assert second.exit_code == 0, second.output
-    assert "sweep-tiny is of tiny.toml; that of other/tiny.toml is sweep-tiny-other" in second.stderr
+    assert "sweep-tiny belongs to tiny.toml; the one of other/tiny.toml is sweep-tiny-other" in second.stderr
     assert Path("sweep-tiny/table.csv").read_text() == first
     assert len(Path("sweep-tiny-other/table.csv").read_text().splitlines()) == 5
     assert sweep("--to", "train").stdout.splitlines()[-1] == "sweep-tiny/table.csv"

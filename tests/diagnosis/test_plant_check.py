@@ -68,8 +68,8 @@ def test_a_plant_without_a_V_is_offered_one(tank_file):
     """x' = -x about 1: V = (h - 1)² / 2 solves the Lyapunov equation; declared, it satisfies."""
     name = tank_file("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")
     found = answers(plants.resolve(name))["V"]
-    assert found.verdict == "warn" and "plant Tank: found no V(x, t, p, M), which the update law takes" in found.text
-    assert "; delay-observer, l1 and frozen take none; declare one: V = " in found.text
+    assert found.verdict == "warn" and "plant Tank: expected V(x, t, p, M), a Lyapunov function, which " in found.text
+    assert "found none; delay-observer, l1 and frozen need none; a candidate: V = " in found.text
     offered = re.search(r"V = (.+) solves the Lyapunov equation, and falls at 100% of \d+ states", found.text)
     assert offered is not None
     written = re.sub(r"\bh\b", "x.h", offered[1]) if "x.h" not in offered[1] else offered[1]
@@ -209,7 +209,7 @@ def test_the_share_of_kappa_outside_the_bounds_is_said_and_the_clipped_loop_trie
     assert found["convergence"].verdict == "no" and lost is not None
     assert int(lost[1]) == pytest.approx(100 * (1 - 0.5 / 3), abs=10)
     free = answers(declared())["input bounds"]
-    kept = re.fullmatch(r"none declared; a controller keeps u in \[-(\d+), (\d+)\], 10 times the .*", free.text)
+    kept = re.fullmatch(r"none are declared; a controller keeps u in \[-(\d+), (\d+)\], 10 times the .*", free.text)
     assert free.verdict == "yes" and kept and kept[1] == kept[2] and float(kept[1]) > 0
     wide = answers(declared(input_bounds=[(-6.0, 6.0)]))
     assert wide["input bounds"].verdict == wide["convergence"].verdict == "yes"
@@ -261,7 +261,7 @@ def test_the_V_that_is_offered_is_not_offered_again():
     pasted = {"V": eval(f"lambda x, t, p, M: {offered[1]}")}
     assert answers(Plant("pasted", type("Pasted", (Reactor,), pasted)))["V"].verdict == "yes"
     local = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3], V=lambda x, t, p, M: 0.5 * x.x**2))["V"]
-    assert local.verdict == "yes" and "the box is wider than where it does" in local.text
+    assert local.verdict == "yes" and "the box is larger than that region" in local.text
     other = answers(declared(kappa=lambda x, t, p, M: [-2 * x.x + x.x**3], V=lambda x, t, p, M: x.x**4))["V"]
     assert other.verdict == "warn" and "V = " not in other.text.partition("no x'Sx")[2]
 
@@ -354,7 +354,7 @@ def test_a_pipeline_is_checked_with_its_own_settings(tmp_path):
     (tmp_path / "line.toml").write_text(PIPELINE)
     call = CliRunner().invoke(app, ["plants", "check", str(tmp_path / "line.toml"), "--json"])
     found = {row["check"]: row for row in json.loads(call.stdout)["answers"]}
-    assert call.exit_code == 0 and found["V"]["text"].endswith("no law runs that takes one, and none is declared")
+    assert call.exit_code == 0 and found["V"]["text"].endswith("not declared; no law that runs needs it")
     assert found["box"]["text"] == "x in [-0.5, 0.5]" and "eigenvalues of the loop without delay: -2" in str(found)
     assert "31 nodes and a delay of 0.7 s" in found["stiffness"]["text"] and "u0: u = 0.25" in str(found)
     assert found["pipeline"] == {"check": "pipeline", "verdict": "yes", "text": "line fits its plant"}
@@ -385,7 +385,7 @@ def test_where_commands_would_overtake_each_other_there_is_a_warning():
         kappa = lambda x, t, p, M: [-3 * x.x]
 
     answer = answers(Plant("Fast", Fast))["feasibility"]  # 1 + 1.5 x is negative for x < -2/3, a sixth of the box
-    assert answer.verdict == "warn" and "loops that come there end; shrink box" in answer.text
+    assert answer.verdict == "warn" and "loops that come there cannot go on; shrink box" in answer.text
     assert 0.1 < float(re.findall(r"positive at (\d+)%", answer.text)[0]) / 100 < 0.24
 
 
@@ -406,13 +406,14 @@ def test_a_negative_delay_is_an_answer_of_no():
 def test_the_delay_of_a_plant_that_declares_it_is_the_longest_on_its_box():
     found = answers(Plant("Late", Late))
     assert re.fullmatch(r"1\.4\d* s, the longest that the plant declares on the box", found["delay"].text)
-    assert found["completeness"].verdict == "yes" and found["V"].text.startswith("no law runs that takes one")
+    assert found["completeness"].verdict == "yes" and found["V"].text.startswith("not declared; no law")
 
 
 def test_the_adaptive_loop_is_simulated_with_the_gain_that_suits_the_delay():
     found = answers(plants.resolve("scalar"))["adaptation"]
     assert found.verdict == "yes"
-    assert "12 loops" not in found.text and re.match(r"9 loops with D = 1 s, gamma = 1, which was derived", found.text)
+    assert "12 loops" not in found.text
+    assert re.match(r"all 9 loops with D = 1 s, gamma = 1, which was derived", found.text)
     assert found.text.endswith("and D_hat(0) = 0.5, 1.5, 2 converge in 40 s")
 
 

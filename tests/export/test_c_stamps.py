@@ -13,6 +13,7 @@ from varying_delays import with_delay
 
 import npred
 from npred.base.errors import ConfigError, DivergedError
+from npred.exports import c_controller
 from npred.plants import Plant
 
 pytestmark = needs_gcc
@@ -295,6 +296,12 @@ def test_any_run_is_that_of_python(compiled, name):
     """2000 of them in all."""
     for seed in range(2 + 2000 // len(CASES)):
         play(compiled(name), any_of(np.random.default_rng(seed), 40))
+
+
+def test_the_header_names_the_outputs_that_a_step_takes():
+    header, _ = c_controller.sources(CASES["EKF"]())
+    assert "X, a sample: cosine, sine." in header and "States of P: angle, speed." in header
+    assert "X, a sample: x (m), y (m), theta (rad)." in c_controller.sources(CASES["two inputs"]())[0]
 
 
 @pytest.mark.parametrize("name", ["two inputs", "declared", "observer of the delay", "watchdog, zero", "EKF"])

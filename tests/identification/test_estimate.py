@@ -72,7 +72,7 @@ def test_a_parameter_that_looks_like_a_delay_has_an_interval_for_both(seed):
     found = npred.identify(decay(), *table, longest=1.0, free=["a"])
     low, high = found.parameter_intervals["a"]
     assert low <= -0.5 <= high and found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
-    assert "The log hardly tells a from the delay: their errors correlate by -0.9" in str(found)
+    assert "The log hardly tells a from the delay: their errors correlate with -0.9" in str(found)
 
 
 LOW, HIGH = np.zeros(2), np.full(2, 3.0)

@@ -191,8 +191,8 @@ def test_a_plant_that_knows_its_delay_is_refused():
 
 def test_a_plant_that_is_far_from_the_given_one_is_said():
     found = npred.identify(decay(), *decayed(0.3, 0.005, b=1.5), longest=1.5)
-    assert not found.identifiable[0] and "the plant as it was given does not explain the log" in str(found)
-    assert "The log asks for another value of b" in str(found)
+    assert not found.identifiable[0] and "the plant, with its parameters, does not explain the log" in str(found)
+    assert "The log fits only with another value of b" in str(found)
     assert npred.identify(decay(), *decayed(0.3, 0.005, b=1.5), longest=1.5, free=["b"]).identifiable.all()
 
 
@@ -276,7 +276,7 @@ def test_a_step_in_the_first_fifth_of_a_log_tells_the_delay(begin):
     found = npred.identify(npred.plants.make("heater", Heater), *heated(begin), free=["K", "tau", "T0"])
     assert found.identifiable.all() and found.interval[0, 0] <= 3 <= found.interval[0, 1], found
     assert abs(found.parameters["K"] - 0.4) < 0.03
-    assert ("taken for its first one" in str(found)) is (begin < 60)
+    assert ("its first command is assumed" in str(found)) is (begin < 60)
 
 
 @pytest.mark.parametrize("first", [20.0, 30.0])

@@ -29,7 +29,7 @@ STEADY = np.arange(100.0)
     ("t", "words"),
     [
         (STEADY, []),
-        (np.append(STEADY, STEADY), ["The clock begins anew at row 102: each part is taken as a recording"]),
+        (np.append(STEADY, STEADY), ["The clock restarts at row 102: each part is taken as a recording"]),
         (np.insert(STEADY, 40, 40.0), ["Row 43 has the stamp of the row before: the later one counts."]),
         (np.append(STEADY, 5000.0 + STEADY), ["There is no sample for 4901 min after row 101: the last command"]),
         (np.floor(STEADY / 5), ["The stamps are coarse: 81% of the rows"]),

@@ -105,11 +105,11 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"interval": (0.0, 0.04)}, "No delay of U at all fits the log as well."),
+        ({"interval": (0.0, 0.04)}, "The log fits without a delay of U, too."),
         ({"interval": (0.0, 0.35)}, "any delay of 0 s to 0.35 s fits."),
-        ({"early": np.full(1, -0.02)}, "0.02 s before its command. It is logged late, or not held"),
+        ({"early": np.full(1, -0.02)}, "0.02 s before its command. Either it is logged late, or"),
         ({"recurring": np.full(1, 1.0)}, "U repeats itself after 1 s"),
-        ({"several": True}, "several delays of 0.25 s to 0.35 s fit about as well"),
+        ({"several": True}, "several delays of 0.25 s to 0.35 s fit about equally well"),
         ({"accurate": False}, "There is no answer: the model is too fast for the samples"),
         (
             {"validation": Validation({"model": 1.0, "static": 0.5}, "static")},
@@ -124,11 +124,11 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
             "A delay of 0.12 s with a first-order lag of 0.2 s behind it fits clearly better: if there is such a lag",
         ),
         ({"closed": 0.98}, "the log is of a closed loop without a test signal. Add one."),
-        ({"inflation": 2.1}, "Errors stay on one side for 2.1 samples"),
-        ({"assumed": {"a": 2.1}}, "The log asks for another value of a, 2.1 times as far as was allowed."),
+        ({"inflation": 2.1}, "Errors keep their sign for 2.1 samples"),
+        ({"assumed": {"a": 2.1}}, "another value of a: its error is 2.1 times `model_error`."),
         (
             {"parameters": {"a": Parameter(1.0, 0.9, 1.1, -0.96)}},
-            "hardly tells a from the delay: their errors correlate by -0.96",
+            "hardly tells a from the delay: their errors correlate with -0.96",
         ),
         ({"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}}, "a is not identifiable"),
     ],

@@ -241,7 +241,7 @@ def test_a_tracking_loop_finds_its_delay(start):
 def test_a_plant_without_V_is_refused_and_told_of_the_laws_that_take_none():
     """It was simulated with V = 0."""
     bare = Plant("bare", type("Bare", (npred.plant("scalar").declaration,), {"V": None}))
-    words = r"plant bare: found no V\(x, t, p, M\), which the update law takes; .* DelayObserver or L1Adaptation"
+    words = r"plant bare: expected V\(x, t, p, M\), .* found none; .* DelayObserver or L1Adaptation"
     settings = {"D": 1.0, "D_hat": 1.2, "X0": [1.0], "t_end": 0.1, "dt": 0.05}
     with pytest.raises(ConfigError, match=words):
         npred.simulate(bare, npred.predictor(bare, "heun", 11), adaptation=DelayAdaptation(gamma=1.0), **settings)

@@ -140,9 +140,9 @@ def test_a_plant_that_gives_none_is_told():
     nowhere = {"f": staticmethod(lambda x, u, t, p, M: [u.q - M.sqrt(x.h - 5)])}
     falls = {"kappa": staticmethod(lambda x, t, p, M: [0.5 * M.sqrt(x.h) + 9 * (x.h - 1.0)])}
     for change, words in (
-        ({"box": {}}, "expected a gain, for plant Tank has no box for h; give gamma"),
+        ({"box": {}}, "expected a gain, because plant Tank has no box for h; give gamma"),
         (nowhere, r"expected a gain, none could be derived: plant Tank: .* no equilibrium .*; or give gamma"),
-        (falls, "expected a gain, none could be derived, for loops of plant Tank leave the finite numbers"),
+        (falls, "expected a gain, none could be derived, because loops of plant Tank overflow"),
     ):
         with pytest.raises(ConfigError, match=f"gamma: {words}"):
             suited_gamma(Plant("Tank", type("Other", (Tank,), change)), 1.0)
@@ -186,7 +186,7 @@ def doubts(name: str, D: float, **evaluate) -> list[str]:
 def test_lost_loops_are_told_before_a_run_with_a_gain_to_give():
     assert doubts("scalar", 1.0) == []
     (told,) = doubts("scalar", 1.0, gamma=1000.0)
-    assert "loops with D = 1 s, gamma = 1000 and D_hat(0) = 0.3, 0.5, 1, 1.5, 2 are lost, as from" in told
+    assert "loops with D = 1 s, gamma = 1000 and D_hat(0) = 0.3, 0.5, 1, 1.5, 2 do not converge, as from" in told
     (told,) = doubts("scalar", 1.0, gamma=20.0)
     assert told.endswith(("; give gamma = 2", "; give gamma = 0.2"))
 
@@ -205,14 +205,14 @@ FAST_AND_SLOW = """class FastAndSlow:
 """
 
 
-def test_only_what_keeps_the_loops_is_advised(tmp_path):
+def test_only_what_lets_the_loops_converge_is_advised(tmp_path):
     """Of x' = x + U with |U| <= 2: after 1 s nothing can bring back what starts near 1, after 0.5 s all laws can."""
     path = tmp_path / "bounded.py"
     path.write_text(BOUNDED)
     (told,) = doubts(f"{path}:Bounded", 1.0)
-    assert told.endswith('; neither "delay-observer" nor the known delay keeps all; shorten D, or shrink box')
+    assert told.endswith('; with "delay-observer", or a known delay, some do not either; shorten D, or shrink box')
     (told,) = doubts(f"{path}:Bounded", 0.5, gamma=500.0)
-    known = '"frozen" and D_hat0 = D where the delay is known'
+    known = '"frozen" and D_hat0 = D if the delay is known'
     assert told.endswith(f'; set adaptation = "delay-observer", or set adaptation = {known}')
 
 

@@ -82,9 +82,9 @@ def test_says_which_loops_escape_and_tells_two_of_one_name_apart():
     lines = str(both).splitlines()
     assert lines[0] == "Trajectories: 2 loops, 1001 times from 0 to 1 s"
     assert lines[1].startswith("  X.X ") and lines[2].startswith("  U.X ")
-    assert lines[-1] == f"  1 of 2 leave the finite numbers, first at control step {both.escaped[1]}"
+    assert lines[-1] == f"  1 of 2 overflow, first at control step {both.escaped[1]}"
     one = npred.simulate(plant, heun, X0=[2.0], **settings)
-    assert str(one).splitlines()[1].endswith("ends at nan") and "it leaves the finite" in str(one)
+    assert str(one).splitlines()[1].endswith("ends at nan") and "it overflows, first" in str(one)
 
 
 def test_parts_and_joined_batches_keep_the_names(batch):

@@ -68,7 +68,7 @@ def test_the_controller_in_python_and_in_c(name):
     made = controller(Plant(name, HOURS[name]))
     assert "dt = 0.01 h, t = 0 h, D_hat = " in repr(made)
     header, source = c_controller.sources(made)
-    assert "A control step each 0.01 h" in header
+    assert "The control step is 0.01 h" in header
     for text in (repr(made), header, source):
         names_no_seconds(text)
 

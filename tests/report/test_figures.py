@@ -35,7 +35,7 @@ def row(number: int, lost: bool = False) -> Scores:
 
 
 def found(plant: str = "activator_repressor", lost: bool = False) -> EvaluationData:
-    """Five loops that decay, or whose networks are lost, and the errors of three networks."""
+    """Five loops that decay, or whose networks diverge, and the errors of three networks."""
     made = plants.resolve(plant)
     t, rng = np.linspace(0, 10, 101), np.random.default_rng(1)
     decay = np.exp(-t)[:, None]
@@ -198,7 +198,7 @@ def test_the_map_is_left_out_where_the_pipeline_asks_for_none_and_counts_what_is
     evaluation = found(lost=True)
     alts = {panel.title.split(":")[0]: panel.alt for panel in figures.delays(evaluation).panels}
     assert set(alts) == {"numerical", "no adaptation", "DeepONet", "FNO"}
-    assert "3 of 6 cells" in alts["DeepONet"] and "3 lost that the numerical" in alts["DeepONet"]
+    assert "3 of 6 cells" in alts["DeepONet"] and "3 others converge with the numerical" in alts["DeepONet"]
     titles = [panel.title for panel in figures.delays(evaluation).panels]
     assert titles == ["numerical: 6 of 6", "no adaptation: 6 of 6", "DeepONet: 3 of 6", "FNO: 6 of 6"]
     assert (
@@ -409,13 +409,13 @@ def test_no_line_of_latency_against_error_turns_back_and_every_grid_has_a_mark()
 
 
 def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
-    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "lost": 1,
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "diverged": 1,
             "D_error": 0.02}  # fmt: skip
-    wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "lost": 3, "D_error": None}
+    wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "diverged": 3, "D_error": None}
     rows = [("noise", does, does), ("jump", does, wild)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": a, "fno": b}}, "t") for name, a, b in rows]
     figure = figures.scenarios(plants.resolve("scalar"), conditions)
-    assert figure is not None and "Lost loops: numerical 2, FNO 4." in figure.caption
+    assert figure is not None and "Loops that diverge: numerical 2, FNO 4." in figure.caption
     assert figure.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
     axis = Canvas().add_subplot()
     for panel in figure.panels:
@@ -428,7 +428,7 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
 
 
 def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_them():
-    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "lost": 0,
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "diverged": 0,
             "D_error": 0.0}  # fmt: skip
     exact = does | {"radius": does["radius"] | {"worst": 1e-12}}
     rows = [("noise 0", exact), ("noise", does)]

@@ -133,7 +133,7 @@ def test_processes_do_not_outlive_a_parent_that_was_killed():
 
 def test_a_task_that_always_kills_its_process_is_told_in_one_line():
     executor = Processes(1)
-    with pytest.raises(NpredError, match=r"^expected processes that live, got one killed twice; use fewer --jobs$"):
+    with pytest.raises(NpredError, match=r"^expected processes that survive, got one killed twice; use fewer --jobs$"):
         executor.submit(die, 0).result()
     assert executor.submit(square, 3).result() == 9
     executor.shutdown()
@@ -164,8 +164,11 @@ class Lost:
 @pytest.mark.parametrize(
     ("end", "words"),
     [
-        (lambda f: (f.cancel(), f.set_running_or_notify_cancel()), "expected a scheduler that stays up, lost it"),
-        (lambda f: f.set_exception(KilledWorker("4 workers died")), "expected workers that live, got: 4 workers died"),
+        (lambda f: (f.cancel(), f.set_running_or_notify_cancel()), "expected a scheduler that keeps running, lost it"),
+        (
+            lambda f: f.set_exception(KilledWorker("4 workers died")),
+            "expected workers that survive, got: 4 workers died",
+        ),
     ],
     ids=["scheduler", "workers"],
 )

@@ -401,7 +401,7 @@ def test_bench_of_the_runtime_onnx_alone_asks_for_its_package(made, tmp_path, mo
 def test_summaries_print(stage, evaluated, benched):
     result = Evaluated.of(evaluated[1], "a test") if stage is evaluate else Benched.of(benched[1], "a test")
     for text in (stage.summary(result), stage.details(result)):
-        assert "deeponet" in text.lower() and ("numerical" if stage is evaluate else "A network pays from") in text
+        assert "deeponet" in text.lower() and ("numerical" if stage is evaluate else "A network pays if") in text
 
 
 def test_figure_numbers_of_a_loop_that_never_settles(evaluated):

@@ -52,7 +52,7 @@ class Observer(ABC):
     fit.
     """
 
-    settings: np.ndarray  # what its kernels read as `law`
+    settings: np.ndarray  # its kernels read this as `law`
     pulls = False  # whether it corrects the state between samples too
 
     def __init__(
@@ -101,7 +101,7 @@ class Observer(ABC):
         """The memory to begin with, of one axis."""
 
     def anew(self) -> tuple[np.ndarray, np.ndarray]:
-        """The memory to go on with where it was lost, and 1 where that is a variance of its first state."""
+        """The memory for a restart, and 1 for each variance of the first state in it."""
         return self.start(), np.zeros(len(self.start()))
 
     @property

@@ -16,7 +16,7 @@
     if (!allowed(self, modes, __func__)) {                                                                             \
         return FMI(Error);                                                                                             \
     }
-/* A function of what the FMU does not have; `asked` counts what is asked for. */
+/* A function for a feature that the FMU does not have. `asked` is the number of variables in the call. */
 #define UNSUPPORTED(name, asked, ...)                                                                                  \
     STATUS(name)(__VA_ARGS__)                                                                                          \
     {                                                                                                                  \
@@ -24,7 +24,7 @@
     }
 
 #ifdef __GNUC__
-#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard has many that a controller does not need */
+#pragma GCC diagnostic ignored "-Wunused-parameter" /* the standard passes many that a controller does not need */
 #endif
 
 STATUS(FMI(SetDebugLogging))(COMPONENT self, FMI(Boolean) on, size_t many, const FMI(String) categories[])
@@ -61,7 +61,7 @@ static FMI(Status) get_flags(Instance *self, const FMI(ValueReference) reference
                              FMI(Boolean) values[], size_t size)
 {
     if (count(references, many, 1) != (long long)size) {
-        return (FMI(Status))report(self, ERROR, "get: expected known Boolean variables, got others");
+        return (FMI(Status))report(self, ERROR, "get: expected Boolean variables of this FMU, got others");
     }
     for (size_t i = 0; i < many; i++) {
         values[i] = self->now.values[variables[references[i]].first] > 0;

@@ -15,7 +15,7 @@ static const uint32_t npred_digest[4] = {0x00000000u, 0x00000000u, 0x00000000u, 
 
 #include "settings.h"
 
-/* Where the numbers of the state are. A step reads u and u_nodes where they are measured, and else writes them. */
+/* Pointers to the parts of the state. A step reads u and u_nodes if they are measured; otherwise it writes them. */
 static inline State npred_state(npred_controller *self, const npred_real *u, const npred_real *u_nodes)
 {
     State state = {
@@ -56,7 +56,7 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     return state;
 }
 
-/* Numbers of a table, one by one: gcc 12 with AVX-512 makes others of a copy at once, where it knows them. */
+/* Copy a table of constants one number at a time: gcc 12 with AVX-512 compiles a whole copy of them wrongly. */
 SPARE static void npred_set(int count, const volatile npred_real *from, npred_real *to)
 {
     for (int i = 0; i < count; i++) {
@@ -110,7 +110,7 @@ const char *npred_version(void)
     return NPRED_DIGEST;
 }
 
-/* FNV-1a: no single byte can change without it. */
+/* FNV-1a: it changes with every change of a single byte. */
 static uint32_t npred_checksum(const npred_saved *state)
 {
     const unsigned char *bytes = (const unsigned char *)state;
@@ -199,7 +199,7 @@ int npred_set_parameters(npred_controller *self, const npred_real *values)
     return NPRED_OK;
 }
 
-/* One of the parameters that can be set, by its number among them. */
+/* Set parameter `number` of those that can be set. */
 static int npred_set_one(npred_controller *self, int number, npred_real value)
 {
     npred_real values[NPRED_PARAMETERS];
@@ -240,12 +240,12 @@ int npred_set_time(npred_controller *self, double t)
     return NPRED_OK;
 }
 
-/* A call at time t, `gap` control steps after the last one, with a sample X of that age in control steps, or NULL. */
+/* A call at time t, `gap` control steps after the last one. X is a sample, `age` control steps old, or NULL. */
 static int npred_call(npred_controller *self, double t, double gap, const npred_real *X, double age, const npred_real *u,
                       const npred_real *u_nodes, npred_real *U)
 {
 #if REPEATS
-    /* within the period: of a time of many periods a float would lose the phase */
+    /* reduced to one period: a float cannot resolve the phase of a large time */
     const npred_real now = (npred_real)fmod(t, NPRED_PERIOD);
 #else
     const npred_real now = (npred_real)t;
@@ -293,7 +293,7 @@ int npred_step(npred_controller *self, const npred_real *X, npred_real *U)
     return npred_call(self, npred_time(&self->saved), 1.0, X, 0.0, self->u, self->u_nodes, U);
 }
 
-/* A number of control steps, whole where it is nearly. */
+/* A number of control steps, rounded if it is nearly whole. */
 static double npred_snapped(double steps)
 {
     return fabs(steps - rint(steps)) <= NPRED_SNAP ? rint(steps) : steps;
@@ -364,7 +364,7 @@ int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_re
 enum { TEST_SAMPLED = 1, TEST_STAMPED = 2, TEST_APPLIED = 4, TEST_SAVED = 8, TEST_ESTIMATE = 16, TEST_TIME = 32,
        TEST_ANEW = 64, TEST_SET = 128 };
 
-/* Call s of the test. Gives its code. */
+/* Make call s of the test, and return its code. */
 static int test_call(npred_controller *c, int s, npred_real *U)
 {
     static npred_saved saved;
@@ -422,19 +422,19 @@ int main(void)
         npred_real U[NPRED_M_INPUTS];
         const int code = test_call(&c, s, U);
         if ((code != NPRED_OK) != isnan(expected[0])) {
-            printf("call %d: code %d, expected %s\n", s, code, code ? "a command" : "a refusal");
+            printf("call %d: expected %s, got code %d\n", s, code ? "a command" : "a refusal", code);
             return 2;
         }
         for (int i = 0; i < NPRED_M_INPUTS && code == NPRED_OK; i++) {
             apart = fabs((double)U[i] - (double)expected[i]) / (double)test_size[i];
             worst = fmax(worst, apart);
-            passed = passed && apart <= TEST_LIMIT; /* NaN is not */
+            passed = passed && apart <= TEST_LIMIT; /* NaN fails */
         }
         apart = fabs((double)c.saved.D_hat[0] - (double)test_D_hat[s]) / (double)test_size[NPRED_M_INPUTS];
         worst = fmax(worst, apart);
         passed = passed && apart <= TEST_LIMIT;
     }
-    printf("largest difference: %.2e of each input's size, and of D_hat's\n", worst);
+    printf("largest difference: %.2e of the size of an input or of D_hat\n", worst);
     return !passed;
 }
 #endif

@@ -1,9 +1,10 @@
 /*
 #include "about.h"
  *
- * C99, no library but libm, no allocation, no static variable that changes: each npred_controller is on its own.
- * Compile it without -ffast-math: NaN has to stay visible. In double precision, with -ffp-contract=off (gcc: -std=c99),
- * it computes what npred.controller does, to the bit where libm is the same; a network's sums may round otherwise.
+ * C99. It needs only libm, allocates nothing, and has no static variable that changes: any number of npred_controller
+ * can run side by side. Do not compile it with -ffast-math, which hides NaN. In double precision, with
+ * -ffp-contract=off (gcc: -std=c99), it gives the same numbers as the controller in Python, to the bit if libm is the
+ * same; only the sums of a network may round differently.
  */
 #ifndef NPRED_CONTROLLER_H
 #define NPRED_CONTROLLER_H
@@ -22,17 +23,18 @@ extern "C" {
 enum {
 #include "sizes.h"
     NPRED_OK = 0,
-    NPRED_MEASUREMENT_NOT_FINITE = 1, /* hold the last U, which the state has as sent, and measure again */
-    NPRED_PREDICTION_NOT_FINITE = 2,  /* likewise */
-    NPRED_STATE_REFUSED = 3,          /* of another controller, or out of range; the state stands as before */
-    NPRED_DELAY_TOO_LONG = 4,         /* for the commands that are kept; likewise hold the last U */
-    NPRED_SETPOINT_REFUSED = 5        /* not finite, or without a rest within the bounds of U; the old one stays */
+    /* After 1, 2 and 4: keep the actuator at the last U (the controller assumes so), and pass the next sample. */
+    NPRED_MEASUREMENT_NOT_FINITE = 1,
+    NPRED_PREDICTION_NOT_FINITE = 2,
+    NPRED_STATE_REFUSED = 3,    /* an argument is out of range, or from another controller; nothing has changed */
+    NPRED_DELAY_TOO_LONG = 4,   /* D_hat is longer than the stored history of commands */
+    NPRED_SETPOINT_REFUSED = 5  /* not finite, or its rest needs a U outside the bounds; nothing has changed */
 };
 
-/* What a step remembers. */
+/* All that a step needs from the steps before it. */
 typedef struct {
     uint32_t digest[4];
-    uint32_t checksum; /* of all bytes after it, set by npred_get_state */
+    uint32_t checksum; /* covers all bytes after it; npred_get_state sets it */
     int64_t steps;
     double t0;
     npred_real D_hat[1], phi_before[1];
@@ -53,11 +55,12 @@ typedef struct {
     npred_real plan[NPRED_PLAN];
 #endif
 #if SETS
-    npred_real p[NPRED_NUMBERS]; /* the parameters, and the rest of a set-point */
+    npred_real p[NPRED_NUMBERS]; /* the parameters, then the rest that belongs to the set-point */
 #endif
 } npred_saved;
 
-/* P, the prediction of the last step, is by nodes, then states; error and fallback are those of a guard. */
+/* P is the prediction of the last step: element (node j, state c) is P[j * N_STATES + c]. A guard sets error and
+ * fallback. */
 typedef struct {
     npred_saved saved;
     npred_real P[NPRED_NX * NPRED_N_STATES];
@@ -80,17 +83,23 @@ typedef struct {
 #if TUNABLE
     struct {
         npred_real gamma_dt, guard[NPRED_GUARD];
-    } settings; /* set by npred_init */
+    } settings; /* npred_init sets the first values */
 #endif
     npred_real work[NPRED_WORK];
 } npred_controller;
 
 #if READS_COMMANDS
-/* What happened in the last call. `age` is how old the last used sample is, infinity before the first; `innovation` what
- * that differed from what the model said; `late` counts the samples that were not used, for they came after a newer one
- * or were too old, `refused` those that were not believed, `missed` the last of these in a row, `renewed` how often
- * the observer of the state began anew. `filtered` is 1 where a safety filter changed U, `unkept` where it found no
- * plan that keeps the limits, of which `kept` is the least when U acts. */
+/* The result of the last call.
+ * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that fit the samples as well.
+ * age: the age of the last sample that was used, infinity before the first.
+ * innovation: the last sample minus the model's value.
+ * late: number of samples that were too old, or came after a newer one. They were not used.
+ * refused: number of samples too far from the model's value to be plausible; missed: the latest of these in a row.
+ * renewed: how often the observer of the state restarted; offset: its estimate of a constant that is added to U.
+ * handed_over: 1 if the watchdog gives U.
+ * fallback: 1 if the guard replaced the network's answer; error: the guard's estimate of the error of U.
+ * filtered: 1 if the safety filter changed U; unkept: 1 if it found no U within the bounds that keeps all limits;
+ * kept: the smallest limit h of the state that is predicted for the time when U acts. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;
@@ -103,32 +112,33 @@ typedef struct {
 void npred_init(npred_controller *self);
 void npred_get_state(const npred_controller *self, npred_saved *state);
 int npred_set_state(npred_controller *self, const npred_saved *state);
-int npred_set_D_hat(npred_controller *self, npred_real D_hat); /* go on from an estimate, as from a first step */
-int npred_set_time(npred_controller *self, double t); /* go on from another time, likewise */
+int npred_set_D_hat(npred_controller *self, npred_real D_hat); /* restart the estimate of the delay at this value */
+int npred_set_time(npred_controller *self, double t); /* the time of the next step, which counts as a first one */
 const char *npred_version(void);
 #if SETS
-/* Set parameters of plant and law, from the next step on: all that can be set, in the order of the functions below. The
- * rest of a set-point follows. NPRED_OK, or NPRED_SETPOINT_REFUSED: then all stays. npred_init sets the first values. */
+/* Set all parameters of plant and law that can be set, in the order of the functions below; the next step uses them.
+ * The rest of a new set-point is computed here. Returns NPRED_OK, or NPRED_SETPOINT_REFUSED: then nothing has changed.
+ * npred_init sets the first values. */
 int npred_set_parameters(npred_controller *self, const npred_real *values);
-/* The same for one of them, which may be the set-point. */
+/* The same for a single parameter, which may be the set-point. */
 #include "setters.h"
 #endif
 #if KEEPS_COMMANDS
-/* What the actuator got since the last step, where that was not its U, or not the one that was held. */
+/* Tell the controller which U the actuator really got since the last step, if it was not the U that the step gave. */
 int npred_applied(npred_controller *self, const npred_real *U);
 #endif
 #if READS_COMMANDS
-/* One control step, each DT: the sample X (N_OUTPUTS) measured now; writes U (M_INPUTS), which it remembers as sent. A
- * sample that the model says cannot be is not believed: npred_get_status. */
+/* One control step, to be called every DT. Pass the sample X (N_OUTPUTS) that is measured now. It writes U (M_INPUTS),
+ * and assumes that you send it. A sample too far from the model's value is refused: see npred_get_status. */
 int npred_step(npred_controller *self, const npred_real *X, npred_real *U);
-/* The same at any time t, later than the last one: with a sample that was taken at `sampled_at`, or NULL. Between
- * samples the model says what X is. NPRED_STATE_REFUSED for times that cannot be; nothing changed then. */
+/* The same at any time t after the last call, with a sample that was taken at `sampled_at`, or NULL for no sample: then
+ * the model predicts X. Returns NPRED_STATE_REFUSED if a time is impossible; then nothing has changed. */
 int npred_step_at(npred_controller *self, double t, const npred_real *X, double sampled_at, npred_real *U);
 void npred_get_status(const npred_controller *self, npred_status *status);
 #else
-/* One control step: X (N_STATES), u (NX * M_INPUTS, by nodes, then inputs: the last row was sent just now), both
- * measured now; writes U (M_INPUTS). npred_step_nodes takes the means over the nodes' cells and the values at the
- * nodes. */
+/* One control step. Pass the state X (N_STATES) and the commands under way u (NX * M_INPUTS), both measured now:
+ * element (node j, input c) is u[j * M_INPUTS + c], and the last row was sent just now. It writes U (M_INPUTS).
+ * npred_step_nodes takes the mean of u over each node's cell, and the value of u at each node. */
 int npred_step(npred_controller *self, const npred_real *X, const npred_real *u, npred_real *U);
 int npred_step_nodes(npred_controller *self, const npred_real *X, const npred_real *u, const npred_real *u_nodes,
                      npred_real *U);

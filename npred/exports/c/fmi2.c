@@ -43,7 +43,7 @@ EXPORTED const char *NAMED(fmi2GetTypesPlatform)(void)
     return "default";
 }
 
-/* The message is a format too, and has no % of its own: some importers do not fill one in. */
+/* The message is passed as the format, and contains no %: some importers do not fill a format in. */
 static void log_2(Instance *self, int status, const char *message)
 {
     const fmi2CallbackLogger log = (fmi2CallbackLogger)self->callback;
@@ -111,7 +111,7 @@ STATUS(fmi2GetBoolean)(fmi2Component self, const fmi2ValueReference references[]
     return get_flags(self, references, many, values, many);
 }
 
-/* Of a step that runs beside its call, as none does. */
+/* The status of a step that runs in the background; here none does. */
 STATUS(fmi2GetRealStatus)(fmi2Component self, const fmi2StatusKind kind, fmi2Real *value)
 {
     ASK(ALWAYS)

@@ -167,7 +167,7 @@ UNSUPPORTED(fmi3EvaluateDiscreteStates, 1, fmi3Instance self)
 UNSUPPORTED(fmi3UpdateDiscreteStates, 1, fmi3Instance self, fmi3Boolean *again, fmi3Boolean *terminates,
             fmi3Boolean *nominals, fmi3Boolean *states, fmi3Boolean *defined, fmi3Float64 *next)
 
-/* Those of the other kinds of FMU: some importers look all functions up before they call any. */
+/* Functions of the other kinds of FMU: some importers look up all functions before they call one. */
 #define NO_MODE(name)                                                                                                  \
     STATUS(name)(fmi3Instance self)                                                                                    \
     {                                                                                                                  \

@@ -1,9 +1,9 @@
 /*
- * One instance of the controller with the values of its variables: what FMI 2.0 and FMI 3.0 have in common.
+ * One instance of the controller with the values of its variables. FMI 2.0 and FMI 3.0 share this file.
  *
- * variables.h, made by the export, has the controller's names, the table of variables and their places in `values`.
- * A control step is due at start + k STEP; what is due within [t, t + h) runs with the inputs as they stand. An
- * importer's sum of steps rounds, and some make a step of one rounding error: a control step waits SLACK STEP for that.
+ * The export writes variables.h: the controller's names, the table of variables and their places in `values`.
+ * A control step is due at start + k STEP. DoStep runs the control steps that are due within [t, t + h), with the
+ * present inputs. An importer's times have rounding errors: a control step due within SLACK STEP of the end waits.
  */
 #ifndef INSTANCE_H
 #define INSTANCE_H
@@ -17,7 +17,7 @@
 
 typedef enum { INPUT, TUNABLE, FIXED, OUTPUT, INDEPENDENT } Role;
 
-/* `size` numbers from values[first]; low and high are what a parameter may be set to. */
+/* `size` numbers from values[first]; a parameter may be set to numbers from low to high. */
 typedef struct {
     int first, size;
     Role role;
@@ -47,7 +47,7 @@ typedef struct {
     double start;
     int64_t steps; /* control steps since start */
     int32_t mode;
-    uint32_t checksum; /* of all bytes before it, where the state is saved */
+    uint32_t checksum; /* covers all bytes before it; get_state sets it */
 } State;
 
 typedef struct Instance Instance;
@@ -59,7 +59,7 @@ struct Instance {
     npred_real u[NPRED_NX * NPRED_M_INPUTS];
 #endif
     void *environment;
-    void (*log)(Instance *self, int status, const char *message); /* by the callback, where there is one */
+    void (*log)(Instance *self, int status, const char *message); /* passes it to the callback, if there is one */
     void (*callback)(void);
     char name[];
 };
@@ -69,7 +69,7 @@ static const char *category(int status)
     return status == WARNING ? "logStatusWarning" : status == DISCARD ? "logStatusDiscard" : "logStatusError";
 }
 
-/* Report in one line; gives the status. */
+/* Log one line, and return the status. */
 static int report(Instance *self, int status, const char *format, ...)
 {
     char line[256];
@@ -104,7 +104,7 @@ static void reset(Instance *self)
     npred_init(&self->controller);
 }
 
-/* A new instance, NULL for another token or where there is no memory. */
+/* A new instance; NULL if the token is another one, or if there is no memory. */
 static Instance *create(const char *name, const char *token)
 {
     if (token == NULL || strcmp(token, TOKEN) != 0) {
@@ -119,7 +119,7 @@ static Instance *create(const char *name, const char *token)
     return self;
 }
 
-/* How many numbers variables have; -1 where one is unknown, or of another type. */
+/* How many numbers the variables have; -1 if one is unknown or has another type. */
 static long long count(const uint32_t *references, size_t many, int boolean)
 {
     long long numbers = 0;
@@ -135,7 +135,7 @@ static long long count(const uint32_t *references, size_t many, int boolean)
 static int get_values(Instance *self, const uint32_t *references, size_t many, double *values, size_t size)
 {
     if (count(references, many, 0) != (long long)size) {
-        return report(self, ERROR, "get: expected known real variables with as many values, got others");
+        return report(self, ERROR, "get: expected real variables of this FMU and room for their values, got others");
     }
     for (size_t i = 0; i < many; i++) {
         const Variable *v = &variables[references[i]];
@@ -145,16 +145,16 @@ static int get_values(Instance *self, const uint32_t *references, size_t many, d
     return OK;
 }
 
-/* Whether a variable may be set to these values now. What an input is set to is judged when a step reads it. */
+/* Whether a variable may be set to these values now. The values of inputs are checked when a step reads them. */
 static int settable(Instance *self, const Variable *v, const double *values)
 {
     const int early = self->now.mode != STEPPING;
     if (v->role == OUTPUT || v->role == INDEPENDENT || (v->role == FIXED && !early)) {
-        return report(self, ERROR, "set: expected an input or a parameter that may be set now, got another variable");
+        return report(self, ERROR, "set: expected an input, or a parameter that may be set now, got another variable");
     }
     for (int i = 0; v->role != INPUT && i < v->size; i++) {
         if (!(values[i] >= v->low && values[i] <= v->high)) {
-            return report(self, DISCARD, "set: expected a parameter of %g to %g, got %g; it stays as it was", v->low,
+            return report(self, DISCARD, "set: expected a parameter from %g to %g, got %g; the old one stays", v->low,
                           v->high, values[i]);
         }
     }
@@ -169,7 +169,7 @@ static void copy_in(npred_real *to, const double *from, int numbers)
 }
 
 #ifdef AT_PARAMETERS
-/* Set the parameters among these values in the controller, all or none. */
+/* Pass the parameters among these values to the controller: all of them or, if one is refused, none. */
 static int set_parameters(Instance *self, const uint32_t *references, size_t many, const double *values)
 {
     npred_real p[NPRED_PARAMETERS];
@@ -183,15 +183,15 @@ static int set_parameters(Instance *self, const uint32_t *references, size_t man
     if (npred_set_parameters(&self->controller, p) == NPRED_OK) {
         return OK;
     }
-    return report(self, DISCARD, "set: expected a set-point with a rest within the bounds of U, got another; the old one "
-                                 "stays");
+    return report(self, DISCARD, "set: expected a set-point whose rest has U within its bounds, got another; the old "
+                                 "one stays");
 }
 #endif
 
 static int set_values(Instance *self, const uint32_t *references, size_t many, const double *values, size_t size)
 {
     if (count(references, many, 0) != (long long)size) {
-        return report(self, ERROR, "set: expected known real variables with as many values, got others");
+        return report(self, ERROR, "set: expected real variables of this FMU and all their values, got others");
     }
     const double *next = values;
     for (size_t i = 0; i < many; next += variables[references[i]].size, i++) {
@@ -245,7 +245,7 @@ static void copy_out(double *to, const npred_real *from, int numbers)
     }
 }
 
-/* The inputs and parameters into the controller. */
+/* Copy the inputs and parameters into the controller. */
 static void write_inputs(Instance *self)
 {
     const double *values = self->now.values;
@@ -261,7 +261,7 @@ static void write_inputs(Instance *self)
 #endif
 }
 
-/* U and what is known about it, after a control step. */
+/* Copy U, P, D_hat and the guard's results out of the controller. */
 static void read_outputs(Instance *self, const npred_real *U)
 {
     double *values = self->now.values;
@@ -275,7 +275,7 @@ static void read_outputs(Instance *self, const npred_real *U)
 }
 
 #ifdef AT_AGE
-/* What npred_get_status says, also of a control step that was refused. */
+/* Copy the status out of the controller, also after a step that was refused. */
 static void read_status(Instance *self)
 {
     double *values = self->now.values;
@@ -304,7 +304,7 @@ static void read_status(Instance *self)
 }
 #endif
 
-/* The control step that is due now. */
+/* Run the control step that is due now. */
 static int control_step(Instance *self, double due)
 {
     npred_real U[NPRED_M_INPUTS];
@@ -334,32 +334,33 @@ static const char *reason(int code)
 {
     return code == NPRED_MEASUREMENT_NOT_FINITE  ? "expected finite inputs, got one that is not"
            : code == NPRED_PREDICTION_NOT_FINITE ? "the prediction from these inputs is not finite"
-           : code == NPRED_STATE_REFUSED         ? "expected a sample_age that can be, got another"
-                                                 : "the delay is above what the commands are kept for";
+           : code == NPRED_STATE_REFUSED         ? "expected a finite sample_age, got another"
+                                                 : "the delay is longer than the stored history of commands";
 }
 
-/* The control steps that are due within [t, t + h). One that is refused holds U, as an actuator does meanwhile. */
+/* Run the control steps that are due within [t, t + h). If one is refused, U keeps its value. */
 static int advance(Instance *self, double t, double h)
 {
     if (!isfinite(t + h) || !(h >= 0)) {
         return report(self, ERROR, "step: expected finite times and a step of 0 or more, got %g and %g", t, h);
     }
     if (!(fabs(t - self->now.values[AT_TIME]) <= SLACK * STEP)) {
-        return report(self, ERROR, "step: expected to go on from %.17g, got %.17g", self->now.values[AT_TIME], t);
+        return report(self, ERROR, "step: expected t = %.17g, the end of the last step, got %.17g",
+                      self->now.values[AT_TIME], t);
     }
     const double end = t + h - SLACK * STEP;
     int status = OK;
     for (double due = due_time(self); due < end; due = due_time(self)) {
         const int code = control_step(self, due);
         if (code != NPRED_OK) {
-            status = report(self, WARNING, "step at %g " TIME_UNIT ": %s; U is held", due, reason(code));
+            status = report(self, WARNING, "step at %g " TIME_UNIT ": %s; U keeps its value", due, reason(code));
         }
     }
     self->now.values[AT_TIME] = t + h;
     return status;
 }
 
-/* FNV-1a: no single byte can change without it. */
+/* FNV-1a: it changes with every change of a single byte. */
 static uint32_t checksum(const State *state)
 {
     const unsigned char *bytes = (const unsigned char *)state;
@@ -370,7 +371,7 @@ static uint32_t checksum(const State *state)
     return sum;
 }
 
-/* A state's bytes into *copy or, where that is NULL, into new memory. */
+/* Copy the bytes of a state to *copy or, if that is NULL, to new memory. */
 static int copy_state(Instance *self, const void *bytes, void **copy)
 {
     if (*copy == NULL) {
@@ -390,7 +391,7 @@ static int get_state(Instance *self, void **copy)
     return copy_state(self, &self->now, copy);
 }
 
-/* Whether a state may be one that get_state wrote. */
+/* Whether get_state can have written this state. */
 static int sound(const State *state)
 {
     const int mode = state->mode, one_mode = mode == 1 || mode == 2 || mode == 4 || mode == 8;
@@ -410,13 +411,13 @@ static int set_state(Instance *self, const void *state)
 {
     const State *saved = state;
     if (saved == NULL || !sound(saved) || npred_set_state(&self->controller, &saved->saved) != NPRED_OK) {
-        return report(self, ERROR, "state: expected one of this FMU, got another; nothing changed");
+        return report(self, ERROR, "state: expected a state that this FMU saved, got another; nothing has changed");
     }
     memcpy(&self->now, saved, sizeof self->now);
     return OK;
 }
 
-/* Whether bytes are as many as a state has, and there is a state. */
+/* Whether there is a state, and it has this number of bytes. */
 static int sized(Instance *self, const void *state, size_t size)
 {
     const int fits = state != NULL && size == sizeof(State);
@@ -437,13 +438,13 @@ static int deserialize(Instance *self, const void *bytes, size_t size, void **st
     return sized(self, bytes, size) == OK ? copy_state(self, bytes, state) : ERROR;
 }
 
-/* The answer to a call for what the FMU does not have, `many` of it. */
+/* Refuse a call about `many` variables of a kind that the FMU does not have. */
 static int unsupported(Instance *self, const char *call, size_t many)
 {
     if (self == NULL) {
         return ERROR;
     }
-    return many == 0 ? OK : report(self, ERROR, "%s: expected nothing, for the FMU has no such variable", call);
+    return many == 0 ? OK : report(self, ERROR, "%s: expected no variables, for this FMU has none of that kind", call);
 }
 
 #endif

@@ -1,12 +1,13 @@
 /*
 #include "about.h"
  *
- * C99, no library but libm, no allocation. Its memory is static: one call at a time.
- * With -DNPRED_TEST it is a program that compares itself with the model it was made from.
+ * C99. It needs only libm and allocates nothing. Its memory is static, so make one call at a time.
+ * Compiled with -DNPRED_TEST it is a program that compares its results with those of the trained model.
  */
 #include "sizes.h"
 
-/* State X, actuator state u by nodes x = j / (NX - 1) and inputs, D_hat, now; writes P likewise. */
+/* Predict P from the state X, the commands under way u and D_hat. u[j * M_INPUTS + c] is input c at the node
+ * x = j / (NX - 1); P[j * N_STATES + c] is state c there. t is the time now. */
 #if PHASED
 void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_hat, double t, double P[SIZE_P]);
 #else
@@ -14,12 +15,11 @@ void npred_predict(const double X[N_STATES], const double u[SIZE_U], double D_ha
 #endif
 
 #if ONE_DELAY
-/* The control law at a state, that is P's last row, and at the time t when U arrives, now + D_hat; writes U, without
- * bounds. */
+/* The control law U = kappa(X, t), without bounds. X is the last row of P, and t is now + D_hat, when U arrives. */
 void npred_control(const double X[N_STATES], double t, double U[M_INPUTS]);
 #else
-/* The control law, U_j = kappa_j(P(r_j), t + r_j D_hat) for the shares r_j of the longest delay, P cubic between nodes,
- * t the time now; writes U, without bounds. */
+/* The control law U_j = kappa_j(P(r_j), t + r_j D_hat), without bounds. The delay of input j is r_j times the longest;
+ * P is cubic between nodes; t is the time now. */
 void npred_control(const double P[SIZE_P], double D_hat, double t, double U[M_INPUTS]);
 #endif
 

@@ -1,7 +1,7 @@
 /* Which candidate of the delay is the best, by the errors of its observers: K candidates, n states, m inputs. Of each
  * candidate the squared errors are summed with two forgetting times, `lasting` and `recent`. */
 enum { K_AT, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
-#define SMALLEST 1e-12 /* of a state's largest value: errors below it say nothing */
+#define SMALLEST 1e-12 /* of a state's largest value: errors below it are rounding */
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
 #define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */

@@ -1,22 +1,22 @@
-/* A controller on a real plant: a control step on its memory, with one lane, at the time at which it is called.
+/* A controller on a real plant: one control step on its memory, with one lane, at the time of the call.
  *
- * Times are positions in the history of commands, in control steps. A call comes `gap` after the one before, 1 where it
- * is on time, and its sample was taken `age` before it. The history has the mean of the commands over each control step
- * of a regular clock, which those are themselves where all calls are on time. */
+ * Times are positions in the history of commands, in control steps. A call comes `gap` after the one before, 1 if it is
+ * on time, and its sample was taken `age` before the call. The history stores the mean of the commands over each control
+ * step of a regular clock; if all calls are on time, these means are the commands. */
 
-/* Why a step gives no U to send; an export numbers them the same. */
+/* Why a step gives no U; an export uses the same numbers. */
 enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4 };
 
-#define PAUSE 4.0  /* histories of commands: after a longer pause nothing is expected of the state */
-#define AROUND 6.0 /* half widths of the box: a state that jumps further is believed later */
-#define MOST 1e12  /* times that, at most */
+#define PAUSE 4.0  /* lengths of the history: after a longer pause the controller expects nothing of the state */
+#define AROUND 6.0 /* half widths of the box: a state that jumps farther is accepted later */
+#define MOST 1e12  /* largest factor by which that grows */
 
 /* What a controller with a history remembers, as npred/loop/clock.py declares it. */
 typedef struct {
     double *stamp;             /* (STAMPS) */
-    double *sent, *before, *D; /* (m) the last command, the mean in the control step before it, the delays it was read by */
+    double *sent, *before, *D; /* (m) the last command, the mean in the control step before it, the delays of that call */
     double *now, *base;        /* (n) */
-    double *refused;           /* (outputs) where the samples in a row begin in which one was not believed, else NaN */
+    double *refused;           /* (outputs) the first of the samples in a row in which the output was refused, else NaN */
 } Clock;
 
 static inline Clock clock_of(Shape d, double *memory)
@@ -53,7 +53,7 @@ static inline void fill(int count, double value, double *to)
     }
 }
 
-/* Expect nothing of the next sample, and take the next call for the first. */
+/* Expect nothing of the next sample, and treat the next call as the first. */
 SPARE static inline void forget(Shape d, int output_count, Clock c)
 {
     c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = c.stamp[RENEWED_AT] = c.stamp[TICK] = NAN;
@@ -63,14 +63,14 @@ SPARE static inline void forget(Shape d, int output_count, Clock c)
     fill(output_count, NAN, c.refused);
 }
 
-/* Let the observer of the delay begin anew, at the next sample. */
+/* Restart the observer of the delay at the next sample. */
 static inline void forget_delay(const Settings *s, State *z, Clock c)
 {
     fill(s->observer_count, NAN, z->observer);
     c.stamp[TICK] = NAN;
 }
 
-/* The longest delay by which a step can read the commands, and go back from a sample as old as any that is used. */
+/* The longest delay by which a step can read the commands, also for the oldest sample that is used. */
 static inline double longest(Shape d, const Settings *s)
 {
     return ((double)(d.rows - 3) - s->oldest) * s->dt;
@@ -82,7 +82,7 @@ static inline INDEX step_of(double at)
     return (INDEX)(at + ROUNDING);
 }
 
-/* Write U into the history from one position to another; `before` is the mean in the first control step up to there. */
+/* Store U in the history from one position to another; `before` is the mean in the first control step up to there. */
 static inline void book(Shape d, double from, double to, const double *before, const double *U, double *held, double *total)
 {
     for (double at = from, end; at < to; at = end) {
@@ -97,7 +97,7 @@ static inline void book(Shape d, double from, double to, const double *before, c
     }
 }
 
-/* Put U for the last command, which is booked for one control step. */
+/* Replace the last command, which is stored for one control step, by U. */
 SPARE static inline void replace(Shape d, State *z, const double *U)
 {
     const Clock c = clock_of(d, z->clock);
@@ -116,7 +116,7 @@ static inline void follow(Shape d, double from, double to, Moment now, const Par
     }
 }
 
-/* Begin the filter anew at a position, as it is in `filter`. */
+/* Restart the filter at a position, from `filter`. */
 static inline void renew(Shape d, double at, const double *filter, const Settings *s, State *z)
 {
     const Clock c = clock_of(d, z->clock);
@@ -126,7 +126,7 @@ static inline void renew(Shape d, double at, const double *filter, const Setting
     forget_delay(s, z, c);
 }
 
-/* Move what the last sample told to a position: its state by the model, or the filter with all that it knows. */
+/* Move the state of the last sample to a position, by the model or by the filter. */
 static inline void move_base(Shape d, double to, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -145,7 +145,7 @@ static inline void move_base(Shape d, double to, Moment now, const Parts *q, con
     c.stamp[BASE_AT] = to;
 }
 
-/* The state that the model expects, from one position to another. */
+/* Move the expected state from one position to another, by the model. */
 static inline void expect(Shape d, double from, double to, Moment now, const Parts *q, const Settings *s, State *z,
                           double *work)
 {
@@ -156,8 +156,8 @@ static inline void expect(Shape d, double from, double to, Moment now, const Par
     }
 }
 
-/* Go on to a call `gap` after the last one, step by step: the last command was held until now, the model goes on by the
- * commands that reached the plant, and D_hat by its last rate. After a pause of many histories all is new. */
+/* Go on to a call `gap` after the last one, step by step: the last command was held until now, the model follows the
+ * commands that reached the plant, and D_hat its last rate. After a very long pause the controller starts anew. */
 static inline void arrive(Shape d, double gap, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -188,11 +188,11 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     c.stamp[CALLS] = 1.0;
 }
 
-/* What became of a sample. */
+/* Whether a sample is used, or too far from the expected one. */
 enum { USED = 1, FAR = 2 };
 
-/* How much further than by itself a sample may be that follows on others in a row, from `first` on, which were not
- * believed: 0 for less than D_hat, or than a new filter was believed, then 1, and ten times as much after each D_hat. */
+/* The factor by which a sample may be farther from the expected one if all samples since `first` were refused: 0 for less
+ * than D_hat, or for less than a new filter has run, then 1, and ten times as much after each further D_hat. */
 static inline double believable(Shape d, double first, double taken, const Settings *s, const State *z)
 {
     const double time = (taken - first) * s->dt, lived = (first - clock_of(d, z->clock).stamp[RENEWED_AT]) * s->dt;
@@ -200,8 +200,8 @@ static inline double believable(Shape d, double first, double taken, const Setti
     return time < smaller(z->D_hat[0], lived) ? 0.0 : smaller(pow(10.0, times), MOST);
 }
 
-/* Correct a filter, which is at the time of the sample, by those outputs that are not far from what it says. `fate`
- * has what became of each. */
+/* Correct a filter, which is at the time of the sample, by the outputs that are not too far from its own. `fate` says of
+ * each output whether it was used. */
 static inline int correct(Shape d, double t, double gate, const Parts *q, const Settings *s, const State *z, double *filter,
                           double *innovation, double *fate, double *work)
 {
@@ -216,8 +216,8 @@ static inline int correct(Shape d, double t, double gate, const Parts *q, const 
     return all;
 }
 
-/* Take a new filter, wider by that factor, where it believes an output that the present one refused for D_hat: that one
- * is wrong. */
+/* Take a new filter, wider by that factor, if it accepts an output that the present one has refused for D_hat: then the
+ * present one is wrong. */
 static inline int replace_filter(Shape d, double taken, double t, double gate, double wider, const Parts *q,
                                  const Settings *s, State *z, double *work)
 {
@@ -279,9 +279,9 @@ static inline int is_near(Shape d, const Settings *s, const double *Y, double wi
     return near;
 }
 
-/* Take the sample Y for the state, unless it is far from what the model says of its time. After such samples for D_hat
- * the state has jumped, and what the observer of the delay knows is of another course; so it is where the state comes
- * back from afar. */
+/* Take the sample Y as the state, unless it is too far from the model's value. If samples are refused for D_hat seconds,
+ * the next is accepted: the state has jumped. Then the observer of the delay restarts, because its data are from before
+ * the jump; it also restarts when the state comes back into the box. */
 static inline int compare_state(Shape d, double taken, double gate, Moment now, const Settings *s, State *z)
 {
     const Clock c = clock_of(d, z->clock);
@@ -306,8 +306,8 @@ static inline int compare_state(Shape d, double taken, double gate, Moment now, 
     return used ? USED : FAR;
 }
 
-/* Learn from a sample taken at a position, unless it is far from what was expected: then it is refused. Gives 1 where it
- * is used, and `base` is the state there. */
+/* Use a sample that was taken at a position, unless it is too far from the expected one: then it is refused. Returns 1 if
+ * it is used; then `base` is the state there. */
 static inline int learn(Shape d, double taken, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -329,7 +329,7 @@ static inline int learn(Shape d, double taken, Moment now, const Parts *q, const
     return what & USED;
 }
 
-/* X_hat from what the model expects, and from a sample of that age, where one came. Gives 1 where it is used. */
+/* X_hat from the model's expectation and, if one came, from a sample of that age. Returns 1 if the sample is used. */
 static inline int sense(Shape d, Moment now, int came, double age, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -354,8 +354,8 @@ static inline int sense(Shape d, Moment now, int came, double age, const Parts *
     return used;
 }
 
-/* Bring the observer of the delay, which steps at the history's control steps, up to the sample that was used, else as
- * near to now as samples may still come for. The sample is moved to the nearest of these steps. */
+/* Bring the observer of the delay, which steps at the control steps of the history, up to the sample that was used.
+ * Without one, go as near to now as no later sample can lie before. The sample is moved to the nearest of these steps. */
 static inline void find_delay(Shape d, Moment now, int used, double taken, const Parts *q, const Settings *s, State *z,
                               double *work)
 {
@@ -371,7 +371,7 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
         c.stamp[LAG] = larger(c.stamp[LAG], (double)(newest - at));
         c.stamp[TICK] = isnan(c.stamp[TICK]) ? (double)(at - 1) : c.stamp[TICK];
     }
-    if (isnan(c.stamp[TICK])) { /* it starts at a sample */
+    if (isnan(c.stamp[TICK])) { /* the observer starts at a sample */
         return;
     }
     for (INDEX i = step_of(c.stamp[TICK]) + 1; i <= last; i++) {
@@ -389,8 +389,8 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
     }
 }
 
-/* Where no sample was used for longer than the watchdog waits, U is what it declares: the last one, numbers, or another
- * law of the prediction. While it takes or returns U, that moves by its `jump` in a call at most. */
+/* If no sample was used for longer than the watchdog waits, U is what the watchdog declares: the last U, numbers, or
+ * another law of the prediction. While the watchdog takes over or hands back, U moves by at most `jump` in a call. */
 static inline void hand_over(Shape d, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -422,7 +422,7 @@ static inline int compute_measured(Shape d, INDEX k, double t, const Parts *q, c
         return MEASUREMENT_NOT_FINITE;
     }
     if (q->observe && !isnan(z->observer[count - 1]) && !all_finite(count, z->observer)) {
-        fill(count, NAN, z->observer); /* it begins anew */
+        fill(count, NAN, z->observer); /* restart */
     }
     if (q->observe) {
         q->observe(d, k, s->dt, z->Y, z->held, t, s->p, s->law, z->observer, z->D_hat, work);
@@ -431,7 +431,7 @@ static inline int compute_measured(Shape d, INDEX k, double t, const Parts *q, c
     return OK;
 }
 
-/* U, P and the next D_hat from the commands before, and from a sample, where one came. */
+/* U, P and the next D_hat from the stored commands and, if one came, from a sample. */
 static inline int compute_recalled(Shape d, double t, int came, double age, const Parts *q, const Settings *s, State *z,
                                    double *work)
 {
@@ -452,7 +452,7 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
     }
     D_hat = z->D_hat[0];
     decide(d, q, s, z, k, larger(now.at - (double)k, 0.0), t, work);
-    if (!all_finite(d.n, z->X_hat)) { /* a delay that the plant declares is that of a state */
+    if (!all_finite(d.n, z->X_hat)) { /* a declared delay is a function of the state, which is unknown */
         z->D_hat[0] = D_hat;
     }
     if (s->watched) {
@@ -461,7 +461,7 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
     return OK;
 }
 
-/* The same, and what is wrong with them. */
+/* U, P and the next D_hat; returns a code if they cannot be used. */
 static inline int compute(Shape d, INDEX k, double t, int came, double age, const Parts *q, const Settings *s, State *z,
                           double *work)
 {
@@ -484,8 +484,8 @@ static inline int compute(Shape d, INDEX k, double t, int came, double age, cons
     return OK;
 }
 
-/* Keep U as the command from now on, or the last one where the call was refused for a `code`. Positions and sums stay
- * small, for large ones round. */
+/* Store U as the command from now on, or the last one if the call was refused with a `code`. Positions and sums are
+ * shifted to stay small, because large ones round. */
 SPARE static inline void remember(Shape d, double t, int code, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -498,7 +498,7 @@ SPARE static inline void remember(Shape d, double t, int code, const Parts *q, c
         own_history(d, s->ratios, z->D_hat, z->D_seen);
     }
     copy(code != OK ? d.m : 0, c.sent, z->U);
-    for (int i = 0; i < d.m; i++) { /* no command that is kept acts later */
+    for (int i = 0; i < d.m; i++) { /* the history has no command for a longer delay */
         c.D[i] = 0.0 <= z->D_seen[i] && z->D_seen[i] <= longest(d, s) ? z->D_seen[i] : 0.0;
     }
     copy(d.m, z->U, c.sent);
@@ -521,8 +521,8 @@ SPARE static inline void remember(Shape d, double t, int code, const Parts *q, c
     }
 }
 
-/* A call at time t, `gap` after the last one, with a sample of that age where one `came`, all in control steps. Where it
- * gives no U to send, D_hat, phi and the observer of the delay are as before, and the last U is booked. */
+/* A call at time t, `gap` after the last one, with a sample of that age if one `came`, all in control steps. If it gives
+ * no U, then D_hat, phi and the observer of the delay are as before, and the last U is stored again. */
 static inline int call(Shape d, double t, double gap, int came, double age, const Parts *q, const Settings *s, State *z,
                        double *work)
 {

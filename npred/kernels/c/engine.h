@@ -159,7 +159,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
                 estimate(d, k, origin, s->dt, s->age, z->D_seen, z->held, z->Y, z->X_hat, q->model, s->p, work);
             }
         }
-        if (q->observe && (k == 0 || taken > 0)) { /* the first sample is there at once */
+        if (q->observe && (k == 0 || taken > 0)) { /* the first sample arrives at once */
             q->observe(d, origin + taken, s->dt, z->Y, z->held, (double)taken * s->dt, s->p, s->law, z->observer, z->D_hat, work);
         }
         decide(d, q, s, z, origin + k, 0.0, t, work);

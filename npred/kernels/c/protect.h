@@ -1,31 +1,31 @@
-/* PROTECT: U, changed only where the loop that follows it would break a limit, and then as little as keeps all of them:
+/* PROTECT: change U only if the loop that follows would break a limit, and then by the least that keeps all limits:
  * a predictive safety filter [Wabersich, Zeilinger, Automatica 129 (2021) 109597] around the plant's own law.
  *
  * From each of the states `ends` that the plant may have when U acts, the loop is rolled out over a grid of STEPS: with
- * U over the first control step, then with kappa in its bounds, held over the first HELD steps and read all the time on
- * the longer ones that follow. Where every h stays above its floor, U is not touched. Else a plan adds v to kappa,
- * constant in each of BLOCKS. The plan with the least Σ ∫ (v / width)² dt that keeps h is sought by up to PASSES
- * programmes which are linear around the last plan; their slopes are differences of rollouts side by side. The next call
- * begins at what is left of it.
+ * U over the first control step, then with kappa within its bounds. kappa is constant over each of the first HELD steps,
+ * and continuous on the longer ones that follow. If every h stays above its floor, U is not changed. Otherwise a plan
+ * adds v to kappa, constant in each of BLOCKS: the plan with the least Σ ∫ (v / width)² dt that keeps h. It is sought by
+ * up to PASSES programmes that are linear around the last plan; their slopes are differences of rollouts side by side.
+ * The next call starts from the rest of this plan.
  *
- * The floor is the margin or, where h is below that at `ends` already, what returns to it at the rate alpha. A plan has
- * a reserve: it keeps TIGHT of the size of h more or, where less is left at `ends`, returns to that. A breach of up to
- * SLACK of it is left to later calls, the farther on the more, for they see it more exactly. `kept` is the least h of
- * `ends`, `filtered` is 1 where U was changed, and `unkept` where no plan has half the reserve. */
+ * The floor is the margin; if h is below it at `ends` already, the floor rises back to it at the rate alpha. A plan has a
+ * reserve: it keeps h above its floor by TIGHT times the size of h or, if less is left at `ends`, returns to that. A
+ * breach of up to SLACK times that size, the more the later it is, is left to later calls, which predict it better.
+ * `kept` is the smallest h of `ends`, `filtered` is 1 if U was changed, `unkept` is 1 if no plan has half the reserve. */
 #define SIDE (VARIABLES + 1) /* rollouts of a plan: itself, then one for each variable, which is moved there */
 #define LOOPS (WIDE > 1 ? 8 : 1) /* loops whose law is rolled out side by side */
 #define ABREAST (ENDS * (SIDE > 8 ? SIDE : 8))
 #define PASSES 2
 #define TIGHT 2e-3
 #define SLACK 5e-4
-#define DIP 5e-3     /* of the size of h: by so much, and a tenth, kappa may break more what is broken, without alpha */
+#define DIP 5e-3     /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
 #define MOVED PRECISE(1e-4, 1e-3) /* of the width of an input: how far a variable is moved */
-#define SETTLED 1e-4 /* of it: a plan that goes no farther is final */
-#define LESS 0.999   /* of the cost of a plan: a new one that is not that much better is not taken */
+#define SETTLED 1e-4 /* of that width: a plan that changes by less is final */
+#define LESS 0.999   /* of the cost of a plan: a new plan has to cost less than this share */
 #define MISSED 1e-5  /* of the size of h */
 #define SOFT PRECISE(1e-9, 1e-5)   /* of conditions on states, whose rows have the length 1 */
 #define BOUND PRECISE(1e-13, 1e-6) /* of the bounds of v */
-#define LOST -1e6    /* sizes of h, of a rollout that is not finite */
+#define OVERFLOWN -1e6 /* sizes of h: the room of a rollout that is not finite */
 enum { MARGIN = N, STEP_LENGTH, WIDTHS, SIZES = WIDTHS + M, LENGTHS = SIZES + K, DECAYS = LENGTHS + STEPS,
        RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K) /* of the limits at the end and in the middle of a step */
@@ -33,15 +33,15 @@ enum { MARGIN = N, STEP_LENGTH, WIDTHS, SIZES = WIDTHS + M, LENGTHS = SIZES + K,
 /* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, and v. */
 typedef struct {
     double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST];
-    double below[K * ABREAST], spent[K * ABREAST]; /* what h lacks at `ends` of the margin, and of the reserve, in sizes */
-    double rate[N * ABREAST];                      /* of the states in the last step */
-    double room[STEPS * ROOMS * ABREAST];          /* what h has above its floor, in its sizes, in each step */
-    double law[BLOCKS * M * 2]; /* what kappa says in each block at least and at most, of plans that are not moved */
+    double below[K * ABREAST], spent[K * ABREAST]; /* how far h is below the margin at `ends`, and below the reserve */
+    double rate[N * ABREAST];                      /* rates of the states in the last step */
+    double room[STEPS * ROOMS * ABREAST];          /* h minus its floor, in its sizes, in each step */
+    double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double edges[BLOCKS];       /* the ends of the blocks, as times from now on; the last is that of the horizon */
 } Rollouts;
 
-/* The rooms of step i, from h before it, in its middle and at its end. Between these lies a parabola: its least counts,
- * and for a plan a bound of that which is linear in them. */
+/* The rooms of step i, from h before it, in its middle and at its end: the minimum of the parabola through these, or for
+ * a plan a bound of it that is linear in them. */
 static INLINED void PART(_rooms)(const int count, const int side, const double *restrict s, int i,
                                  double *restrict before, const double *restrict middle, const double *restrict end,
                                  Rollouts *r)
@@ -58,12 +58,12 @@ static INLINED void PART(_rooms)(const int count, const int side, const double *
         const double at_end = side ? end[a] - below : smaller(end[a], vertex);
         const double inside = middle[a] - (side ? below : 0.0);
         before[a] = end[a];
-        room[0] = end[a] == end[a] ? (at_end - floor) / size : LOST;
-        room[count] = end[a] == end[a] ? (inside - floor) / size : LOST;
+        room[0] = end[a] == end[a] ? (at_end - floor) / size : OVERFLOWN;
+        room[count] = end[a] == end[a] ? (inside - floor) / size : OVERFLOWN;
     }
 }
 
-/* Roll out `count` lanes, of the law alone or, of `side` lanes for each end, of a plan. */
+/* Roll out `count` lanes: of the law alone, or of a plan with `side` lanes for each end. */
 static INLINED void PART(_roll)(const int count, const int side, const double *restrict p, const double *restrict s,
                                 const double *restrict low, const double *restrict high, Rollouts *r)
 {
@@ -128,7 +128,7 @@ static INLINED void PART(_roll)(const int count, const int side, const double *r
     }
 }
 
-/* The rollout in lane `at` of `count` begins at end e of loop l. Gives the least h there. */
+/* Start the rollout in lane `at` of `count` at end e of loop l. Returns the smallest h there. */
 static inline double PART(_begin)(int count, int at, int lanes, const double *ends, const double *moments, int e, int l,
                                   const double *p, const double *s, const double *U, Rollouts *r)
 {
@@ -149,7 +149,7 @@ static inline double PART(_begin)(int count, int at, int lanes, const double *en
     return least_h;
 }
 
-/* The least room of `loops` loops from l on, the law alone from all their ends, and the least h of these. */
+/* The smallest room of `loops` loops from l on, with the law alone from all their ends, and the smallest h there. */
 static INLINED void PART(_alone)(const int loops, int lanes, int l, const double *ends, const double *moments,
                                  const double *p, const double *s, const double *low, const double *high,
                                  const double *U, double *room, double *kept, Rollouts *r)
@@ -174,7 +174,7 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
     }
 }
 
-/* Add a condition a δ >= b on variables of the weights w, in rows of the length 1. */
+/* Add a condition a δ >= b on variables with the weights w, as a row of length 1. */
 static inline void condition(Conditions *q, const double *w, const double *a, double b, double soft)
 {
     double length = 0.0;
@@ -198,7 +198,7 @@ static inline double PART(_length)(const Rollouts *r, int block)
     return r->edges[block] - (block > 0 ? r->edges[block - 1] : 0.0);
 }
 
-/* The next plan by the conditions that are linear around v, whose rollouts r are. Gives how far it goes from v. */
+/* The next plan, from conditions that are linear around v; r has the rollouts of v. Returns its distance from v. */
 static inline double PART(_replan)(const Rollouts *r, const double *s, const double *low, const double *high,
                                    const double *moved, double *v)
 {
@@ -216,11 +216,11 @@ static inline double PART(_replan)(const Rollouts *r, const double *s, const dou
             b += a[j] * v[j];
             reach += fabs(a[j]) * s[WIDTHS + j % M];
         }
-        if (room[0] < reach && room[0] > 0.5 * LOST) {
+        if (room[0] < reach && room[0] > 0.5 * OVERFLOWN) {
             condition(&q, w, a, b, SOFT);
         }
     }
-    for (int j = 0; j < VARIABLES; j++) { /* farther than to a bound of U, v changes nothing */
+    for (int j = 0; j < VARIABLES; j++) { /* beyond a bound of U, v has no effect */
         for (int c = 0; c < VARIABLES; c++) {
             a[c] = 0.0;
         }
@@ -241,8 +241,8 @@ static inline double PART(_replan)(const Rollouts *r, const double *s, const dou
     return farthest;
 }
 
-/* The edges and v of a plan, as seen a control step later: a block that is over makes room for a half of the one that is
- * the longest for its begin. A plan begins as 0 in blocks that grow with time. */
+/* The edges and v of a plan one control step later. When a block is over, the block that is longest relative to its start
+ * is split into two. A new plan is 0, in blocks that grow with time. */
 static inline void PART(_go_on)(int lanes, const double *s, const double *plan, double *edges, double *v)
 {
     const int is_new = !(plan[0] > 0.0);
@@ -270,7 +270,7 @@ static inline void PART(_go_on)(int lanes, const double *s, const double *plan, 
     }
 }
 
-/* The plan of loop l, from what is left of the last one. Gives its least room. */
+/* The plan of loop l, from the rest of the last one. Returns its smallest room. */
 static APART double PART(_plan)(int lanes, int l, const double *ends, const double *moments, const double *p,
                                 const double *s, const double *low, const double *high, const double *U, double *plan,
                                 Rollouts *r)
@@ -309,7 +309,7 @@ static APART double PART(_plan)(int lanes, int l, const double *ends, const doub
         if (pass == PASSES || (room > -MISSED && farthest < SETTLED)) {
             break;
         }
-        if (room <= 0.5 * LOST && pass > 0) { /* half the way back to a plan that is better */
+        if (room <= 0.5 * OVERFLOWN && pass > 0) { /* go back half the way to a better plan */
             for (int j = 0; j < VARIABLES; j++) {
                 v[j] = 0.5 * (v[j] + plan[(BLOCKS + j) * lanes]);
             }

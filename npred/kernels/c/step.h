@@ -1,4 +1,4 @@
-/* What a controller computes in a control step [DAPF, eqs. 9-14], in a simulated loop and on a real plant. */
+/* One control step of the controller [DAPF, eqs. 9-14], in a simulated loop and on a real plant. */
 
 /* The controller reads its own commands by its estimate of the delay. */
 static inline void own_history(Shape d, const double *ratios, const double *D_hat, double *D_seen)
@@ -10,7 +10,7 @@ static inline void own_history(Shape d, const double *ratios, const double *D_ha
     }
 }
 
-/* U to its bounds; NaN stays NaN. */
+/* Clip U to its bounds; NaN stays NaN. */
 static inline void clip(Shape d, const double *bounds, double *U)
 {
     for (int c = 0; c < d.m; c++) {
@@ -36,7 +36,7 @@ static inline void adapt(Shape d, double gamma_dt, const double *bounds, const d
     }
 }
 
-/* Add `sign` times the offset (m) that an observer of the state finds at the inputs to `rows` of them. */
+/* Add `sign` times the offset (m), which an observer of the state estimates, to `rows` rows of inputs. */
 static inline void offset(Shape d, int rows, double sign, const double *found, double *U)
 {
     for (int j = 0; j < rows; j++) {
@@ -47,8 +47,8 @@ static inline void offset(Shape d, int rows, double sign, const double *found, d
 }
 
 /* End e of lane l: the state when U acts, if the delay is D_hat + `moved`, by the model and the commands themselves. They
- * are held over whole or half control steps, quarters, …, until that makes no more difference than `error` (n) allows.
- * Gives whether that is reached. */
+ * are integrated over whole control steps, then halves, quarters, …, until the difference is within `error` (n).
+ * Returns whether that is reached. */
 #define FINEST 16.0 /* parts of a control step */
 static inline int predict_end(Shape d, int e, int l, double moved, double at, double t, const Parts *q, const Settings *s,
                               State *z, double *work)
@@ -68,7 +68,7 @@ static inline int predict_end(Shape d, int e, int l, double moved, double at, do
         onward(d, l, at, at + D / s->dt, 1.0 / parts, now, z->D_moved, z->held, s->offsets ? z->filter + d.n : NULL,
                q->model, s->p, x, rest);
         excess = parts > 1.0 ? 0.0 : INFINITY;
-        for (int c = 0; c < d.n && parts > 1.0; c++) { /* of a method of order 4 */
+        for (int c = 0; c < d.n && parts > 1.0; c++) { /* the error of a method of order 4 */
             excess = larger(excess, fabs(x[c] - coarse[c]) / (15.0 * s->safety[c]));
         }
     }
@@ -79,7 +79,7 @@ static inline int predict_end(Shape d, int e, int l, double moved, double at, do
     return excess <= 1.0;
 }
 
-/* U, changed where the loop would break a limit; with an offset at the inputs U is what the plant gets. */
+/* Change U if the loop would break a limit. With an offset at the inputs, U includes it here. */
 static inline void protect(Shape d, INDEX k, double part, double t, const Parts *q, const Settings *s, State *z,
                            double *work)
 {
@@ -102,8 +102,8 @@ static inline void protect(Shape d, INDEX k, double part, double t, const Parts 
                work);
 }
 
-/* U and phi at `part` of control step k and time t from X_hat, and from u where it is measured, else from the commands
- * before. An offset of the inputs acts on the plant too, so that the law gets the prediction with it, and U is less. */
+/* U and phi at `part` of control step k and time t, from X_hat and from u, which is measured or read from the stored
+ * commands. An offset acts on the plant: the prediction includes it, and U is reduced by it. */
 static inline void decide(Shape d, const Parts *q, const Settings *s, State *z, INDEX k, double part, double t, double *work)
 {
     if (q->model_delay) {

@@ -87,7 +87,7 @@ class Scenario(Section):
 class GuardTable(Section):
     """The networks are checked in every call of a loop; if one may be wrong, `predictor` answers (npred.guarded)."""
 
-    tolerance: Positive = 0.01  #: largest error of U that is to pass, in units of U; numerical answers may err by more
+    tolerance: Positive = 0.01  #: largest error of U that is accepted, in units of U; numerical answers may err by more
 
 
 class Evaluate(LoopTable):

@@ -26,7 +26,7 @@ class Training(Section):
     loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: weights of components; kappa: by their effect on U
     rows: Literal["square", "norm"] = "norm"  #: mean over rows of squares or norms
     nodes: Nodes | None = None  #: number of nodes on which P is compared; all by default
-    snapshots: list[Count] = []  #: epochs whose model is kept
+    snapshots: list[Count] = []  #: epochs after which the model is stored
     anchor: Anchor = "equilibrium"  #: where P_hat is exact by construction
     checkpoint_every: Count = 5  #: epochs between checkpoints
 
@@ -69,7 +69,7 @@ class FNO(Training):
     batch: Count = 256  #: rows per step
     lr: Positive = 5e-3  #: learning rate
     width: Count = 32  #: channels
-    modes: Count = 8  #: kept of each spectral layer
+    modes: Count = 8  #: modes of each spectral layer
     layers: Count = 4  #: spectral layers
 
 

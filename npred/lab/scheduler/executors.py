@@ -171,7 +171,8 @@ class Processes(Workers):
             except RuntimeError as lost:  # the fresh pool is closed or broken already: somebody may wait
                 _settle(outcome, lost, done)
         else:
-            _settle(outcome, NpredError("expected processes that live, got one killed twice; use fewer --jobs"), done)
+            what = "expected processes that survive, got one killed twice; use fewer --jobs"
+            _settle(outcome, NpredError(what), done)
 
     def _replace(self, broken: Executor) -> ProcessPoolExecutor:
         """A fresh pool for a broken one: once, however many of its tasks ask."""
@@ -245,10 +246,10 @@ class Cluster(Workers):
         def finish(done: Future[Result]) -> None:  # the cluster's failures in one line each
             error = CancelledError() if done.cancelled() else done.exception()
             if isinstance(error, CancelledError):
-                what = "expected a scheduler that stays up, lost it; start it and run the same again"
+                what = "expected a scheduler that keeps running, lost it; start it and run the same command again"
                 error = NpredError(f"--executor: {what}")
             elif type(error).__name__ == "KilledWorker":
-                error = NpredError(f"--executor: expected workers that live, got: {error}; give them more memory")
+                error = NpredError(f"--executor: expected workers that survive, got: {error}; give them more memory")
             _settle(outcome, error, done)
 
         outcome.add_done_callback(lambda done: done.cancelled() and inner.cancel())

@@ -146,8 +146,8 @@ def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
     fit = PipelineFit(plant, pipeline)
     case, long = fit.case(), [control_step.doubt(*step[:3], plant.time_unit) for step in fit.steps]
     answers = [case.ask(question) for question in diagnosis.QUESTIONS if question.name in SIMULATED]
-    lost = [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
-    return [*filter(None, long), *lost]
+    warned = [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
+    return [*filter(None, long), *warned]
 
 
 def _require(fit: PipelineFit, case: Case) -> None:

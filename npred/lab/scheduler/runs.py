@@ -132,7 +132,7 @@ def generate(
     ConfigError
         For a source that is not there and for settings that do not fit.
     DivergedError
-        For a loop that leaves the finite numbers.
+        For a loop that overflows.
     StoreError
         For corrupt results.
     """
@@ -177,7 +177,7 @@ def train(
     MissingError
         For a device or a package that is not there.
     DivergedError
-        For a loop or a loss that leaves the finite numbers.
+        For a loop or a loss that overflows.
     StoreError
         For corrupt results.
     """
@@ -222,7 +222,7 @@ def evaluate(
     MissingError
         For a device or a package that is not there.
     DivergedError
-        For a loop or a loss that leaves the finite numbers.
+        For a loop or a loss that overflows.
     StoreError
         For corrupt results.
     """

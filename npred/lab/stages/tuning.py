@@ -35,7 +35,7 @@ from npred.prediction.methods import numerical
 
 LAW = ("gamma", "b")  # numbers of the delay law, as [evaluate] calls them
 LETTERS = ("Q", "R")  # weights of kappa = "lqr"
-FIGURES = ("time", "peak", "effort")  # of Settling: what a gain is shown in
+FIGURES = ("time", "peak", "effort")  # the attributes of Settling that are compared
 CASES = Scenario(name="cases")  # [evaluate] as it stands
 Progress = Callable[[int], None]
 SPREAD = 0.25  # standard deviation that a search starts with, as a share of each range
@@ -63,7 +63,7 @@ class Settling(NamedTuple):
 
         time: of the first step from which |X - X*| stays within 1 % of size(X*) (npred.loop.metrics). A loop that does
         not settle in T = t_end has (2 + q) T with q = r / (1 + r), r = sup |X - X*| / size(X*) over the last tenth:
-        from 2 T to 3 T, less where it ends nearer. One that leaves the finite numbers at t has 4 T - t, from 3 T to
+        from 2 T to 3 T, less if it ends nearer. One that overflows at t has 4 T - t, from 3 T to
         4 T. If `limited`, a loop that breaks a limit of the plant does not settle.
         effort: the integral of |U - U*|² over [0, T], by trapezia; infinite where a loop does not settle.
         peak: the largest |X - X*|.
@@ -75,18 +75,18 @@ class Settling(NamedTuple):
         if limited and loops.safety is not None:
             settled = settled & ~(loops.safety < 0).any(axis=(-2, -1))
         with np.errstate(invalid="ignore", over="ignore"):
-            lost = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
+            late = np.where(np.isfinite(near), (2 + near / (1 + near)) * t_end, (4 - finite) * t_end)
             U = plant.u_target(loops.t) if loops.u_target is None else loops.u_target
             effort = np.trapezoid(np.sum((loops.U - U) ** 2, axis=-1), loops.t)
             peak = np.linalg.norm(loops.X - target, axis=-1).max(axis=-1)
-        columns = np.where(settled, time, lost), np.where(settled, effort, np.inf), peak, settled
+        columns = np.where(settled, time, late), np.where(settled, effort, np.inf), peak, settled
         return cls(*(a.reshape(states, -1) for a in columns))
 
     @classmethod
     def failed(cls, like: "Settling", t_end: float) -> "Settling":
-        """Loops that cannot be simulated: as lost as one that leaves the finite numbers at once."""
-        lost = np.full_like(like.effort, np.inf)
-        return cls(np.full_like(like.time, 4 * t_end), lost, lost, like.settled & False)
+        """Loops that cannot be simulated cost as much as one that overflows at once."""
+        infinite = np.full_like(like.effort, np.inf)
+        return cls(np.full_like(like.time, 4 * t_end), infinite, infinite, like.settled & False)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Yardstick:
 
     @classmethod
     def of(cls, present: Settling, weight: float, dt: float) -> "Yardstick":
-        """That of these loops; a time is at least dt, and an effort above 0."""
+        """The yardstick of these loops; a time is at least dt, and an effort above 0."""
         efforts = present.effort[present.settled]
         effort = float(efforts.mean()) if efforts.size else 1.0
         return cls(max(float(present.time.mean()), dt), effort or 1.0, weight)
@@ -234,7 +234,7 @@ class Ranges:
 
     @classmethod
     def of(cls, pipeline: Pipeline, plant: Plant, table: Tune) -> "Ranges":
-        """Those of a pipeline. Raises ConfigError for a name that is no gain, and for one that moves the rest."""
+        """The ranges of a pipeline. Raises ConfigError for a name that is no gain, and for one that moves the rest."""
         law = adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name not in LAW or law is None]
         weights = LqrWeights.of(plant)
@@ -401,7 +401,7 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
         answer = f"{said(best.numbers)}: on held-out starts {', '.join(changes)}"
     else:
         fallen = f"with the best of {tried} tries the cost {judged.cost.change()} on held-out starts"
-        answer = f"no clear gain: {fallen}; it takes {table.margin:.1%}, and a shorter settling time or less effort"
+        answer = f"no clear gain: {fallen}; a gain needs {table.margin:.1%}, and a shorter settling time or less effort"
     return Tuned(
         pipeline=pipeline.name, plant=plant.name, numbers=numbers, margin=table.margin,
         training=_judged(yardstick, before.training, best.training, pipeline.seed), held_out=judged, gained=gained,
@@ -417,7 +417,7 @@ def _search(
 
     It needs two coordinates, so one that is alone gets one that changes nothing.
     """
-    import cma  # it takes a while
+    import cma  # slow to import
 
     tried, start, size = 0, ranges.start(), _points(len(ranges.low))
     options: dict[str, Any] = {"bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}

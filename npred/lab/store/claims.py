@@ -110,7 +110,7 @@ def _opened(root: Path) -> Iterator[BinaryIO]:
             stack.callback(_remove, _keys(path))
             yield stack.enter_context(_keys(path).open("ab", buffering=0))
             return
-    raise StoreError(f"{root}: expected a claim that lasts, lost {ATTEMPTS}; run again")
+    raise StoreError(f"{root}: expected to claim a key, failed {ATTEMPTS} times; run again")
 
 
 def in_use(root: Path) -> set[str]:

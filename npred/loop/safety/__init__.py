@@ -24,10 +24,10 @@ class SafetyFilter:
     Raises ConfigError for numbers that make no sense.
     """
 
-    alpha: float | None = None  #: rate, in 1 / time, at which a limit that is broken is kept again; None: that of kappa
+    alpha: float | None = None  #: rate, in 1 / time, at which a broken limit is restored; None: that of kappa
     margin: float = 0.0  #: the least h, in the unit of the limits
     delay: float = 0.0  #: how wrong D_hat may be, in the plant's unit of time; above 0 with actuator = "history"
-    horizon: float | None = None  #: how far ahead loops are looked at; by default six of kappa's slowest time constants
+    horizon: float | None = None  #: how far ahead loops are simulated; by default six of kappa's slowest time constants
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -39,7 +39,7 @@ class SafetyFilter:
 
     @property
     def ends(self) -> int:
-        """How many predicted states the limits are kept from."""
+        """The number of predicted states from which the limits are to be kept."""
         return 3 if self.delay else 1
 
     @staticmethod
@@ -57,7 +57,7 @@ class SafetyFilter:
         if not self.serves(plant):
             raise ConfigError(
                 f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
-                "keep its limits in kappa"
+                "enforce its limits in kappa"
             )
         self.kernel(plant)
 

@@ -44,8 +44,8 @@ class PVTOL:
 
     @staticmethod
     def V(x, t, p, M):
-        """Of the Lyapunov equations of both chains with k = 1, in b, b' and a, a', -tan θ, -(tan θ)'; the climb, which
-        disturbs the other, weighs 40 times: V' < -0.06 V on the box (checked there, not proved beyond).
+        """A sum from the Lyapunov equations of both chains, k = 1, in b, b' and a, a', -tan θ, -(tan θ)'. The climb,
+        which disturbs the other chain, counts 40 times: V' < -0.06 V on the box (checked there, not proved beyond).
         """
         a, a_rate, b, b_rate = _free_point(x, p, M)
         chain = [a, a_rate, -M.tan(x.theta), -x.omega / M.cos(x.theta) ** 2]

@@ -1,6 +1,6 @@
 """A plant that is not traced, with one constant delay: the same formulas on arrays (n, B), f called as it is.
 
-A lane that leaves the finite numbers is NaN from there on, which its reader says in words: NumPy warns of nothing.
+A lane that overflows is NaN from there on, and its reader reports it: NumPy does not warn.
 """
 
 from typing import ClassVar

@@ -61,11 +61,11 @@ def test_sentence(speedup, words):
     text = bench.network_pays(found)
     once = bench.network_pays(found.model_copy(update={"best_steps": 1, "network_speedup": 4.0}))
     assert "the network takes 10.0 µs, RK4 on 10 steps 5.0 µs, Euler on 99 steps 9.0 µs. By the median" in text
-    assert "median error over samples, 3.0·10⁻³, RK4 on 7 steps has the network's in 4.0 µs, 2.5 times as fast." in text
-    assert words in text and text.endswith("A network pays from 200 ns per evaluation of f on (here 80 ns).")
+    assert "3.0·10⁻³, RK4 on 7 steps is as accurate as the network in 4.0 µs, 2.5 times as fast." in text
+    assert words in text and text.endswith("if one evaluation of f takes at least 200 ns; here it takes 80 ns.")
     assert "on 1 step:" in once
     assert bench.network_pays(found.model_copy(update={"pays_from_ns": 0.0})).endswith(
-        "A network pays however cheap f is (here 80 ns)."
+        "A network pays however cheap f is; here it takes 80 ns."
     )
 
 

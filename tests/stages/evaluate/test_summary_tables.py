@@ -66,5 +66,5 @@ def test_limits_have_columns_where_the_plant_declares_any():
     loops = evaluate.details(result).split("\n\n")[-1].split("\n", 1)[1]
     assert cells(loops, *heads) == ["0.0123", "25.00%", "3"]
     free = {"least": None, "filtered": None, "unkept": None}  # a loop that is lost, without a filter
-    assert "lost" in tables.predictors(evaluation("numerical", limits=free)).terminal()
+    assert "overflow" in tables.predictors(evaluation("numerical", limits=free)).terminal()
     assert not [head for head in heads if head in evaluate.details(RESULT)]

@@ -99,7 +99,7 @@ def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
     done = call("still.csv", *FLAGS)
     assert done.exit_code == 3 and "q never changes" in done.stdout and (folder / "still.html").exists()
     last = done.output.splitlines()[-1]
-    assert "no pipeline was written" in last and "--accept takes the range that is left, 0 to " in last
+    assert "no pipeline was written" in last and "--accept takes the possible range, 0 to " in last
     assert not (folder / "still.toml").exists()
 
 

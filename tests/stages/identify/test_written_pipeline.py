@@ -89,7 +89,7 @@ def test_the_control_step_is_a_part_of_the_period(D: float, period: float, dt: f
 def test_a_delay_of_zero_is_that_of_a_control_step():
     pipeline, remarks = made("Room", [0.0], [(0.0, 0.03)], 0.25)
     assert pipeline.evaluate.D == pipeline.evaluate.dt == 0.125
-    assert "shorter than a control step, which a sampled loop has at least: D = 0.125 h" in remarks
+    assert "shorter than a control step, the least that a loop can have: D = 0.125 h" in remarks
     runs()
 
 

@@ -228,8 +228,8 @@ def test_the_sentences_know_loops_that_are_lost_and_a_benchmark_without_networks
         "square 0.25); on 100 of exploring rollouts it is 3.5."
     )
     assert said[1] == (
-        "Of 20 closed loops with a delay that the controller does not know, 0 with the FNO (median radius ∞), "
-        "0 with the numerical predictor and 0 without adaptation end within 0.01 of rest."
+        "20 closed loops, delay unknown to the controller. End within 0.01 of rest: numerical predictor 0, "
+        "FNO 0 (median radius ∞), without adaptation 0."
     )
     assert said[2] == "No network was timed."
 
@@ -238,8 +238,8 @@ def test_the_sentences_know_delays_that_are_held_and_plants_without_a_published_
     timed = NONE_TIMED.model_copy(update={"rows": [timing("fno", "torch", us=200.0)]})
     said = sentences(plants.resolve("scalar"), evaluation("numerical", "fno", **LOST), timed)
     assert said[1] == (
-        "Of 20 closed loops with the delay estimate held, 0 with the FNO (median radius ∞) and 0 with the numerical "
-        "predictor end within 0.01 of rest."
+        "20 closed loops, constant delay estimate. End within 0.01 of rest: numerical predictor 0, "
+        "FNO 0 (median radius ∞)."
     )
     assert said[2] == "A call of the FNO, torch, takes 200.0 µs at dx = 0.1."
 
@@ -335,7 +335,7 @@ def test_a_page_is_not_overwritten_by_another_pipeline_of_its_name(call: Call, h
         result = call("report", other, "--json")
         path = Path(document(result)["report"])
         assert path.match(name) and f'data-pipeline="{other}"' in path.read_text()
-        assert f"store/tiny.html is of tiny.toml; that of {other} is {path}" in result.stderr
+        assert f"store/tiny.html belongs to tiny.toml; the one of {other} is {path}" in result.stderr
     assert len(list(Path("store").glob("tiny*.html"))) == 3 and Path("store/tiny.html").read_bytes() == before
     assert document(call("report", "tiny.toml", "--json"))["report"] == "store/tiny.html"
 

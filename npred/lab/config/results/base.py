@@ -191,7 +191,7 @@ class TunedNumber(Result):
 
     name: str  #: gamma, b or a parameter of the plant
     before: float  #: the pipeline's
-    after: float  #: that of the best cost on the training starts
+    after: float  #: the number with the lowest cost on the training starts
     low: float  #: lower end of its range
     high: float  #: upper end
 
@@ -236,11 +236,12 @@ class Tuned(Result):
 
     pipeline: str  #: its name
     plant: str  #: its name
-    numbers: list[TunedNumber]  #: that were free
-    training: JudgedLoops  #: from the starts of the search
-    held_out: JudgedLoops  #: from others
+    numbers: list[TunedNumber]  #: the free numbers
+    training: JudgedLoops  #: loops from the starts of the search
+    held_out: JudgedLoops  #: loops from other starts
     margin: float  #: least gain that counts
-    gained: bool  #: the cost clearly falls by the margin, and with it settling time, effort or the loops that are lost
+    #: the cost clearly falls by the margin, and with it settling time, effort, or the loops that do not settle
+    gained: bool
     evaluations: int  #: settings that were tried
-    interrupted: bool  #: the search was ended before all were
+    interrupted: bool  #: whether the search was stopped before all were tried
     sentence: str  #: the answer

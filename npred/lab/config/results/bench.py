@@ -49,7 +49,7 @@ class Crossover(Result):
 
     plant: str  #: its name
     predictor: str  #: the network
-    runtime: str  #: its fastest
+    runtime: str  #: the network's fastest runtime
     dx: float  #: the spacing of its nodes
     eps_sup: Number  #: its largest error; the methods have at most this error
     eps_relative: Number  #: `eps_sup` over the largest P

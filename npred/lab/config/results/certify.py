@@ -18,8 +18,8 @@ class Certificate(Result):
     median: Number  #: the median over the rollouts
     tolerance: float  #: the guard's, in units of U
     fallback_rollouts: float  #: share of the rollouts' samples with a numerical answer
-    lost: int  #: loops that the network loses and the numerical predictor keeps
-    lost_guarded: int  #: the same for the guarded network
+    diverged: int  #: loops that diverge with the network, and do not with the numerical predictor
+    diverged_guarded: int  #: the same for the guarded network
     peak: Number  #: largest distance from rest, over the numerical predictor's
     peak_guarded: Number  #: the same for the guarded network
     fallback: float  #: share of the guarded loops' steps with a numerical answer
@@ -45,5 +45,5 @@ class Certified(Result):
 
     plant: str  #: its name
     loops: int  #: loops from fresh starts
-    lost_numerical: int  #: those of them that the numerical predictor loses
+    diverged_numerical: int  #: those of them that diverge with the numerical predictor
     models: Annotated[dict[Name, Certificate], RANKED]  #: by network

@@ -58,9 +58,9 @@ class Radius(Radii):
 class Limits(Result):
     """How loops keep the limits that the plant declares by `safe`, over the cases."""
 
-    least: float | None  #: the smallest h at the kept times; `null` where a loop leaves the finite numbers
+    least: float | None  #: the smallest h at the kept times; `null` if a loop overflows
     filtered: float | None  #: share of the control steps in which the safety filter changed U; `null` without one
-    unkept: int | None  #: number of steps in which no plan was found that keeps the limits, likewise
+    unkept: int | None  #: number of steps in which no U within the bounds was found that keeps all limits, likewise
 
 
 class DelayMap(Result):
@@ -70,7 +70,7 @@ class DelayMap(Result):
     D_hat0: list[float]  #: first estimates
     converged: list[list[bool]]  #: one row per D
     share: float  #: share of the numerical predictor's converging loops
-    band: tuple[float, float] | None  #: range of D without a lost loop; `null` for none
+    band: tuple[float, float] | None  #: range of D in which all of them converge; `null` for none
 
 
 class LoopEnd(Result):
@@ -88,7 +88,7 @@ class Scores(Errors):
     kinds: dict[str, KindErrors]  #: errors by kind of held-out row
     fresh: Errors  #: the same errors on the fresh samples
     #: the largest |P(1, t) − X(t + D)| with D̂ = D ([accuracy](../accuracy.md#the-error-in-the-loop)); `null` if a
-    #: loop is lost
+    #: loop overflows
     in_loop: Number
     radius: Radius  #: over the cases
     settle_time: Number  #: the median over the cases, in the plant's unit of time
@@ -131,9 +131,9 @@ class Behaviour(Result):
 
     radius: Radii  #: over the cases
     settle_time: Number  #: the median over the cases, in the plant's unit of time
-    #: loops that diverge, whose commands overtake each other, or that end farther away than a fifth of the distance
-    #: that radii are relative to
-    lost: int
+    #: loops that overflow, whose commands overtake each other, or that end farther away than a fifth of the size that
+    #: radii are relative to
+    diverged: int
     overtaking: int = 0  #: those of them whose commands overtake each other
     #: the largest |D̂ − D| over the last tenth and the cases; `null` without an estimate
     D_error: float | None

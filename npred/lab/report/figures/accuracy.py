@@ -224,7 +224,7 @@ def certified(plant: Plant, result: Certified | None, errors: Mapping[PredictorI
         f"Of {first.rollouts:,} fresh rollouts the share in which the largest error of U, over inputs and over "
         f"{first.samples or 'some'} random samples of a rollout, is above ε. With a confidence "
         f"of {first.confidence:.4g}, at most a share {first.probability:.4g} of all such rollouts is above the end of "
-        f"a line{crosses}. Dotted: the tolerance of the guard. It holds for "
+        f"a line{crosses}. Dotted: the tolerance of the guard. It is valid for "
         f"the distribution that rollouts are drawn from."
     )
     alt = "; ".join(f"{network.label}: at most {short(row.eps_kappa)}" for network, row in result.models.items()) + "."

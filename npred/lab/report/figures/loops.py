@@ -32,11 +32,11 @@ def figure1(evaluation: EvaluationData) -> Figure:
     plant, loops, t = evaluation.plant, evaluation.loops, evaluation.loops[NUMERICAL].t
     over_t: Any = {"xlabel": timed(plant, "t"), "xlim": (t[0], t[-1])}
     columns = {predictor: np.column_stack([loop.X, loop.U, loop.D_hat]) for predictor, loop in loops.items()}
-    kept, panels = _converging(evaluation), []
+    whole, panels = _converging(evaluation), []
     for k, (name, goal) in enumerate(_goals(evaluation, t).items()):
         series = {predictor: values[:, k] for predictor, values in columns.items()}
         what = "" if name != "D_hat" else "delay " if plant.declares_delay else "delay estimate "
-        span = around([goal, *(series[predictor] for predictor in kept)], [*series.values()])
+        span = around([goal, *(series[predictor] for predictor in whole)], [*series.values()])
         ends = "; ".join(f"{predictor.label} {each[0]:.4g} to {each[-1]:.4g}" for predictor, each in series.items())
         title = what + quantity(plant, name)
         alt = f"{title} from t = 0 to {t[-1]:g}: {ends}."
@@ -50,7 +50,7 @@ def figure1(evaluation: EvaluationData) -> Figure:
         largest = "; ".join(f"{predictor.label} {short(np.max(each))}" for predictor, each in apart.items())
         alt = f"|X − X of the numerical loop| on a logarithmic scale, at most: {largest}."
         panels.append(Panel(title, alt, _over_time(plant, t, apart)))
-    near = ", ".join(f"{predictor.label} {short(np.max(apart[predictor]))}" for predictor in kept if predictor in apart)
+    near = ", ".join(f"{each.label} {short(np.max(apart[each]))}" for each in whole if each in apart)
     config, bounds, limits = evaluation.config, evaluation.config.input_bounds, ""
     if bounds is not None:
         ranges = zip(plant.inputs, bounds, strict=True)
@@ -83,15 +83,15 @@ def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
 def _converging(evaluation: EvaluationData) -> list[PredictorId]:
     """The predictors whose loops a panel has to show whole: the numerical one, and all whose loop ends settled.
 
-    A loop that is lost may leave the picture, so that the others can be distinguished.
+    A loop that diverges may leave the picture, so that the others can be distinguished.
     """
-    kept = []
+    whole = []
     for predictor, loop in evaluation.loops.items():
         target, _ = conditions.targets(evaluation.plant, evaluation.config, loop.t)
         run = cast(Any, loop)  # a radius takes only t and X of Trajectories
         if predictor == NUMERICAL or metrics.converged(metrics.radius(run, target), target):
-            kept.append(predictor)
-    return kept
+            whole.append(predictor)
+    return whole
 
 
 def _goals(evaluation: EvaluationData, t: np.ndarray) -> dict[str, np.ndarray]:
@@ -170,11 +170,11 @@ def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Figure | None:
     if not plant.declares_delay:
         panels.append(_scenario_panel(timed(plant, "|D̂ − D| at the end"), conditions, lambda does: does.D_error, True))
     predictors = list(conditions[0].models)
-    lost = ", ".join(f"{each.label} {sum(one.models[each].lost for one in conditions)}" for each in predictors)
+    diverged = ", ".join(f"{each.label} {sum(one.models[each].diverged for one in conditions)}" for each in predictors)
     caption = (
         f"The cases again under {len(conditions)} other conditions, each predictor from the same states with the same "
-        "noise. An arrow points to what is still smaller; what is infinite, of a loop that diverges or does not "
-        f"settle, has no mark. Lost loops: {lost}."
+        "noise. An arrow means that the value is smaller than the axis; a loop that diverges or does not settle has no "
+        f"mark. Loops that diverge: {diverged}."
     )
     entries = [LegendEntry(each.label, LineStyle(line_of(each).role, MARK, marker="o")) for each in predictors]
     return Figure("scenarios", "Other conditions", caption, panels, entries)
@@ -237,7 +237,7 @@ def delays(evaluation: EvaluationData) -> Figure | None:
             axis.grid(False)
 
         total = converged.size if predictor == NUMERICAL else exact.sum()
-        beside = "" if predictor == NUMERICAL else f"; {missed.sum()} lost that the numerical predictor keeps"
+        beside = "" if predictor == NUMERICAL else f"; {missed.sum()} others converge with the numerical predictor only"
         alt = f"{predictor.label} converges in {converged.sum()} of {converged.size} cells of D by D̂(0){beside}."
         panels.append(Panel(f"{predictor.label}: {(converged & exact).sum()} of {total}", alt, draw))
     caption = (
@@ -247,7 +247,7 @@ def delays(evaluation: EvaluationData) -> Figure | None:
     )
     entries = [
         LegendEntry("converges", LineStyle("ink", MARK, marker="s")),
-        LegendEntry("lost", LineStyle("muted", MARK, marker="x")),
+        LegendEntry("does not", LineStyle("muted", MARK, marker="x")),
     ]
     return Figure("delays", "Delays and first estimates", caption, panels, entries)
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
-LINE = "interrupted; finished stages and checkpoints are kept: the same command goes on from there"
+LINE = "interrupted; finished stages and checkpoints are stored: run the same command to go on"
 SHOW_CURSOR = b"\x1b[?25h"  # the live view hides it
 GRACE = 3.0  # s that work which is asked to end may take, and that of multiprocessing at the very end
 _wakeup: list[socket.socket] = []  # what the interpreter writes the number of each signal to, at once, and its end

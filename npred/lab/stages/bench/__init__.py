@@ -1,4 +1,4 @@
-"""The time of a predictor call, each with its error beside it."""
+"""Time a call of each predictor, and put its error beside it."""
 
 from typing import Any
 

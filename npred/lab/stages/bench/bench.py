@@ -134,7 +134,7 @@ def stopped(stops: Stops) -> str:
         return "The machine did not stop a thread that only reads the clock: the tails are the predictors'."
     return (
         f"The machine stops a thread that only reads the clock {stops.per_s:.0f} times per second, for "
-        f"{stops.median_us:.0f} µs in the median: from {1000 / stops.per_s:.1f} µs per call on, p99.9 includes that."
+        f"{stops.median_us:.0f} µs in the median: p99.9 of calls from {1000 / stops.per_s:.1f} µs on includes this."
     )
 
 
@@ -198,7 +198,7 @@ def crossover(
 
 
 def _by_median(method: Candidate, reference: Reference, eps: float) -> Candidate | None:
-    """The same method on as many steps as it needs for that median error."""
+    """The method with as many steps as it needs for that median error."""
     kind: Any = type(method.run)
     nodes = matching(reference, kind, eps, by="median")
     run = kind(method.run.plant, nodes) if nodes else None
@@ -233,16 +233,16 @@ def network_pays(crossover: Crossover) -> str:
     first, second = (numerical, network) if ratio < 1 else (network, numerical)
     slower = [row for row in crossover.numerical if row.predictor != crossover.best]
     others = "".join(f", {method_on(row.predictor, row.steps)} {row.median_us:.1f} µs" for row in slower)
-    here = f"(here {crossover.f_ns:.0f} ns)"
     from_ns = crossover.pays_from_ns
-    pays = f"from {from_ns:.0f} ns per evaluation of f on {here}" if from_ns else f"however cheap f is {here}"
+    pays = f"if one evaluation of f takes at least {from_ns:.0f} ns" if from_ns else "however cheap f is"
+    pays += f"; here it takes {crossover.f_ns:.0f} ns"
     typical = ""
-    if crossover.by_median:  # the median error ranks methods otherwise than the largest may
+    if crossover.by_median:  # the median error may rank methods differently from the largest
         method = min(crossover.by_median, key=lambda row: row.median_us)
         times = method.median_us / crossover.network_us
         typical = (
             f" By the median error over samples, {short(crossover.eps_median)}, "
-            f"{method_on(method.predictor, method.steps)} has the network's in {method.median_us:.1f} µs, "
+            f"{method_on(method.predictor, method.steps)} is as accurate as the network in {method.median_us:.1f} µs, "
             f"{f'{1 / times:.1f} times as fast' if times < 1 else f'{times:.1f} times its time'}."
         )
     return (

@@ -30,7 +30,7 @@ FINE = 2001  # nodes of the reference
 PROBES = 200  # held-out samples that a row's error is taken over
 Method = type[OneStep] | type[Rollout]
 LADDER = sorted({round(1.2**k) for k in range(42)} | {FINE - 1})  # numbers of intervals to try
-PACKAGES = {"torch": ("torch",), "onnx": ("torch", "onnx", "onnxscript", "onnxruntime")}  # that runtimes need
+PACKAGES = {"torch": ("torch",), "onnx": ("torch", "onnx", "onnxscript", "onnxruntime")}  # packages that runtimes need
 FRONT = (4, 10, 20, 50)  # intervals of the compiled methods' coarse end
 
 

@@ -159,6 +159,7 @@ def _reference(plant: Plant, about: Mapping[str, Any], loops: Trajectories) -> R
     t = np.broadcast_to(steps * dt, D_hat.shape)
     kept = array_checks.finite_rows(X, u, D_hat)
     if not kept.any():
-        raise ConfigError(f"X0: expected a loop that RK4 keeps, got none of {loops.escaped.size}; start nearer to rest")
+        came = f"got none of {loops.escaped.size}"
+        raise ConfigError(f"X0: expected a loop that stays finite with RK4, {came}; start nearer to rest")
     rows = slice(None, PROBES)
     return Reference(plant, X[kept][rows], u[kept][rows], D_hat[kept][rows], t[kept][rows])

@@ -1,4 +1,4 @@
-"""Whether a network could pay, before one is trained: methods of errors that networks reach, and an untrained one."""
+"""Whether a network could pay, before one is trained: methods with errors that networks reach, and an untrained one."""
 
 import numpy as np
 
@@ -30,7 +30,7 @@ def measure(pipeline: Pipeline, plant: Plant) -> BreakEven:
     """Untrained weights of the network's sizes, timed in turn with each method on the fewest steps of each error.
 
     Samples come from short loops of [generate], and nothing is stored. Raises ConfigError for a pipeline that its plant
-    does not fit, for loops that leave the finite numbers, and where no method reaches an error.
+    does not fit, for loops that overflow, and where no method reaches an error.
     """
     if not plant.declares_V and pipeline.generate.adaptation not in WITHOUT_V:  # its loops are asked for samples only
         adapted = pipeline.generate.model_copy(update={"adaptation": "delay-observer", "actuator": "history"})

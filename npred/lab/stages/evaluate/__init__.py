@@ -1,10 +1,10 @@
-"""Held-out errors and closed loops: eps and the convergence radius."""
+"""Measure each network's error on held-out data, and simulate closed loops with it."""
 
 from typing import Any
 
 from npred.lab.scheduler.declaration import Slices, Stage
 
-STAGE = Stage(__name__, version=17, upstream=("generate", "train"), result_class="npred.lab.config.results:Evaluated")
+STAGE = Stage(__name__, version=18, upstream=("generate", "train"), result_class="npred.lab.config.results:Evaluated")
 HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat0")
 
 

@@ -41,12 +41,12 @@ def overtaken(loops: Trajectories) -> Overtaken:
 
 def warn_of_overtaken(progress: Console, ended: Mapping[PredictorId, Overtaken], scenario: str = "") -> None:
     """One warning for all predictors, of a scenario if one is named; none where no loop ended."""
-    lost = {predictor_id: each for predictor_id, each in ended.items() if each[0]}
-    if lost:
-        counts = ", ".join(f"{count} of {predictor_id.label}" for predictor_id, (count, _) in lost.items())
+    marked = {predictor_id: each for predictor_id, each in ended.items() if each[0]}
+    if marked:
+        counts = ", ".join(f"{count} of {predictor_id.label}" for predictor_id, (count, _) in marked.items())
         where = f'in the scenario "{scenario}" ' if scenario else ""
-        first = next(iter(lost.values()))[1]
-        progress.warn(f"{where}loops in which commands would overtake each other count as lost: {counts}; {first}")
+        first = next(iter(marked.values()))[1]
+        progress.warn(f"{where}loops in which commands would overtake each other count as diverged: {counts}; {first}")
 
 
 def scores(
@@ -76,7 +76,7 @@ def behaviour(
     plant: Plant, loops: Trajectories, D: Callable[[float], float] | float, guarded: bool = False,
     filtered: bool = False,
 ) -> Behaviour:  # fmt: skip
-    """Loops (B,) of true delay D in numbers, of a scenario."""
+    """The loops (B,) of a scenario with the true delay D, in numbers."""
     target, D_error = metrics.target(plant, loops), None
     late = loops.t >= (1 - metrics.TAIL) * loops.t[-1]
     if not plant.declares_delay and np.isfinite(loops.D_hat[:, late]).any():  # else there is no estimate, or none left
@@ -84,7 +84,7 @@ def behaviour(
     return Behaviour(
         radius=Radii(**_radii(loops, target)),
         settle_time=np.median(metrics.settle_time(loops, target)),
-        lost=int(metrics.lost(loops, target).sum()),
+        diverged=int(metrics.diverged(loops, target).sum()),
         overtaking=overtaken(loops)[0],
         D_error=D_error,
         fallback=loops.fallback_share if guarded else None,
@@ -104,7 +104,7 @@ def limits(loops: Trajectories, filtered: bool) -> dict[str, Limits]:
 def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Trajectories) -> DelayMap:
     """The loops of the map D x D_hat(0) that converge, and their share of those that do with the numerical predictor.
 
-    `band` is the range of D in which no loop is lost that converges with the numerical predictor.
+    `band` is the range of D in which every loop converges that does so with the numerical predictor.
     """
     shape, target = (len(config.map_D), len(config.map_D_hat0)), metrics.target(plant, loops)
     radii = (metrics.radius(run, target) for run in (loops, reference))
@@ -212,7 +212,7 @@ def write_coverage(path: Path, plant: Plant, data: Dataset, loops: Mapping[Predi
     with h5py.File(path, "w") as opened:
         file: Any = opened
         for name, values in _quantities(plant, data.X, data.u, data.D_hat).items():
-            slack = MARGIN * np.ptp(values)  # what `coverage` counts as inside is in the picture
+            slack = MARGIN * np.ptp(values)  # the picture shows all that `coverage` counts as inside
             slack = slack or 0.01 * max(abs(values[0]), 1.0)  # a delay that is known has one value
             edges = np.linspace(values.min() - slack, values.max() + slack, BINS + 1)
             file[f"{name}/edges"], file[f"{name}/data"] = edges, np.histogram(values, edges, density=True)[0]

@@ -1,4 +1,4 @@
-"""Rollouts with the numerical predictor: the training data."""
+"""Make the training data: loops with a numerical predictor."""
 
 from pathlib import Path
 from typing import Any

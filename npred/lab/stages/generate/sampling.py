@@ -25,7 +25,7 @@ from npred.prediction.methods import numerical
 Columns = dict[str, np.ndarray]
 Progress = Callable[[int], None] | None
 LAST = np.iinfo(np.int64).max  # a step that no loop comes to
-PACKAGES = ("npred", "numpy")  # that the bytes of a row may depend on
+PACKAGES = ("npred", "numpy")  # packages on which the bytes of a row may depend
 NEAREST = 0.01  # the smallest displacement of a row over `spread`
 SMOOTH = 6  # Legendre polynomials in a displacement of u
 

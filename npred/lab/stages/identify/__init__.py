@@ -1,4 +1,4 @@
-"""The delay and the parameters of a plant by a recording of it, and their limits."""
+"""Estimate a plant's delay and parameters from a recording, with intervals."""
 
 from typing import Any
 

@@ -28,7 +28,7 @@ def run(job: Job) -> IdentifiedResult:
         raise ConfigError(
             "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
         )
-    keys = dict(table)  # those of the library have its names
+    keys = dict(table)  # npred.identify takes the same names
     reading = {key: keys[key] for key in keys.keys() & Reading.__annotations__}
     log, notes = recorded(plant, table.files[0] if len(table.files) == 1 else table.files, **reading)
     settings = {key: keys[key] for key in keys.keys() & Settings.__dataclass_fields__}

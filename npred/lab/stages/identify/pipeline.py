@@ -24,7 +24,7 @@ from npred.prediction.delays import problem_of
 
 STEPS = 40  # control steps in a delay that is not 0, or in a period: a controller is not that much faster than sensors
 FINE = 0.1  # dt times the fastest rate of the plant, and of its loop without delay, at rest
-PARTS = 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 80, 100, 200, 250, 400  # of a period, so that dt has few digits
+PARTS = 1, 2, 4, 5, 8, 10, 20, 25, 40, 50, 80, 100, 200, 250, 400  # parts of a period, so that dt has few digits
 SETTLED, AFTER = 10.0, 5.0  # a loop lasts so many time constants of its slowest rate, then so many delays
 LEAST, MOST = 100, 10_000  # control steps of a loop
 SLOWEST = 1_000_000  # control steps until a loop settles: beyond that, and beyond PARTS, a unit is wrong
@@ -55,7 +55,7 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     period = float(f"{result.period:.3g}")
     parts = max(0.0 if none else min(period / delays[longest], 1.0) * STEPS, fast * period / FINE, 2.0 * observed)
     k = next((k for k in PARTS if k >= parts), math.inf)
-    dt = _short(period / k) or period  # which is refused below
+    dt = _short(period / k) or period  # 0 is refused below
     by = f", {time(period)}, by {k}" if k > 1 else ""
     remarks.append(f"The control step is {time(dt)}: the recording's period{by}.")
     low, high = (_short(max(end, dt)) for end in ends[longest])
@@ -69,13 +69,15 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
             middle = time(delays[j], ".4g")
             remarks.append(f"The delay of {name} is not identifiable: it is the middle of its range, {middle}.")
     if delays[longest] < dt:
-        remarks.append(f"The delay is shorter than a control step, which a sampled loop has at least: D = {time(D)}.")
+        remarks.append(f"The delay is shorter than a control step, the least that a loop can have: D = {time(D)}.")
     if not observed:
-        remarks.append("The delay observer does not serve this plant, so D_hat stays where it begins.")
+        remarks.append("The delay observer does not work for this plant, so D_hat is constant.")
     differ = plant.m > 1 and (not plant.one_delay or np.ptp(delays) >= dt)
     if differ:
         each = ", ".join(f"{name} {time(_short(d))}" for name, d in zip(plant.inputs, delays, strict=True))
-        one = "D and D_hat are the longest; the others go with it." if plant.traced else "A black box has the longest."
+        one = (
+            "D and D_hat are the longest; the others move with it." if plant.traced else "A black box has the longest."
+        )
         remarks.append(f"The inputs have different delays: {each}. {one}")
 
     settled = SETTLED / slow / dt if slow > 0 else 0.0

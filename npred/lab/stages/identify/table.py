@@ -13,7 +13,7 @@ class Identify(Section):
 
     data: str | list[str] = ""  #: the recording, or several: CSV, or a format of an extra
     time: str | None = None  #: the column of the times; by default t, time, timestamp or stamp
-    time_unit: str | None = None  #: of that column: s, ms, us, ns, min or h; by default from its header or kind
+    time_unit: str | None = None  #: unit of that column: s, ms, us, ns, min or h; by default from its header or kind
     period: Positive | None = None  #: time from row to row of a recording without times, in the plant's unit
     hold: Literal["zero", "linear"] | None = None  #: the input between two commands: the last one, or a line
     columns: dict[str, str] = {}  #: column of each input and output, if its name differs

@@ -1,4 +1,4 @@
-"""All results as one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
+"""Write all results to one HTML file; or as PDF, SVG and PNG, CSV and LaTeX."""
 
 from typing import Any
 

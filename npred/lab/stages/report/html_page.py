@@ -17,7 +17,7 @@ def filled(template: str, **values: Any) -> str:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["typeset"] = lambda text: Markup(markup(text))  # which escapes
+    environment.filters["typeset"] = lambda text: Markup(markup(text))  # markup escapes
     environment.globals["drawn"] = lambda panel, name: Markup(inline(panel, name))
     page = environment.from_string(template)
     return page.render(roles=ROLES, style=text("page.css"), script=text("page.js"), **values)

@@ -161,12 +161,12 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
     if plant.declares_delay:
         yield "a delay that the plant declares"
     else:
-        estimate = "its estimate held" if config.adaptation == FROZEN else "unknown to the controller"
+        estimate = "its estimate constant" if config.adaptation == FROZEN else "unknown to the controller"
         yield f"delay D = {plant.time_text(config.D)}, {estimate}"
     if config.actuator == "history":
         yield "actuator state not measured"
     if config.timing:
-        yield "calls of the controller that are not on time"
+        yield "the controller called at irregular times"
     if config.observer:
         yield f"the state estimated by {config.observer.kind}"
     if config.safety:
@@ -212,18 +212,18 @@ def _errors(evaluated: Evaluated, networks: list[PredictorId]) -> str:
 
 def _loops(plant: Plant, evaluated: Evaluated, networks: list[PredictorId]) -> str:
     radii = {predictor: scores.radius for predictor, scores in evaluated.models.items()}
-    counts = [f"{radii[n].count} with the {n.label} (median radius {short(radii[n].median)})" for n in networks]
-    counts.append(f"{radii[NUMERICAL].count} with the numerical predictor")
-    delay = "with the delay estimate held"
+    counts = [f"numerical predictor {radii[NUMERICAL].count}"]
+    counts += [f"{n.label} {radii[n].count} (median radius {short(radii[n].median)})" for n in networks]
+    delay = "constant delay estimate"
     if NO_ADAPTATION in radii:
-        counts.append(f"{radii[NO_ADAPTATION].count} without adaptation")
-        delay = "with a delay that the controller does not know"
+        counts.append(f"without adaptation {radii[NO_ADAPTATION].count}")
+        delay = "delay unknown to the controller"
     if plant.declares_delay:
-        delay = "with a delay that the plant declares"
+        delay = "delay declared by the plant"
     near = f"{100 * metrics.SETTLED:g} % of the reference"
     if plant.rests:
         near = f"{short(metrics.SETTLED * metrics.size(plant.equilibrium))} of rest"
-    return f"Of {radii[NUMERICAL].cases} closed loops {delay}, {_and(counts)} end within {near}."
+    return f"{radii[NUMERICAL].cases} closed loops, {delay}. End within {near}: {', '.join(counts)}."
 
 
 def _speed(benched: Benched) -> str:

@@ -25,7 +25,7 @@ ABOUT = {
     "worst": "the largest of them",
     "predicted": "the gain times ε_{κ}: the distance that a small constant error of that size brings",
     "radius": "of the loop in the figure above",
-    "lost": "loops that diverge or end far away",
+    "diverged": "loops that overflow, or end farther from rest than a fifth of its size",
     "settle_time": "median over the cases",
     "D_error": "largest over the last tenth and the cases",
     "fallback": "share of steps in which the guard let the numerical predictor answer",
@@ -36,12 +36,12 @@ ABOUT = {
 }  # below a table: the meaning of these headings
 CERTIFIED = {
     "median": "of the largest error of U of each rollout",
-    "adversarial": "largest error of U that a search came to",
+    "adversarial": "largest error of U that a search found",
     "above": "calls of the search whose error of U is above the tolerance of the guard",
     "unnoticed": "of these, those that the guard lets pass",
     "blind": "calls of a search for inputs that the guard lets pass, with an error above the tolerance",
-    "lost": "loops lost with the network and kept by the numerical predictor",
-    "lost_guarded": "the same with the guarded network",
+    "diverged": "loops that diverge with the network, and not with the numerical predictor",
+    "diverged_guarded": "the same with the guarded network",
     "fallback": "share of the guarded loops' steps in which the numerical predictor answered",
     "bounded": "share of the worst samples that have a bound",
 }
@@ -61,7 +61,7 @@ def predictors(evaluated: Evaluated, microseconds: Mapping[PredictorId, float] |
         Column("converged", [f"{row.radius.count} of {row.radius.cases}" for row in rows], "s"),
     ]
     if limits := [row.limits for row in rows if row.limits]:
-        columns.append(Column("least h", ["lost" if h.least is None else f"{h.least:.3g}" for h in limits], "s"))
+        columns.append(Column("least h", ["overflow" if h.least is None else f"{h.least:.3g}" for h in limits], "s"))
     if microseconds is not None:
         columns.append(Column("µs per call", [microseconds.get(each) for each in evaluated.models], ".1f"))
     return Table("predictors", "Predictors", columns)
@@ -104,7 +104,8 @@ def loops(evaluated: Evaluated) -> Table:
     """Convergence, radius and end of the closed loops of each predictor."""
     exact, rows = evaluated.models[NUMERICAL], list(evaluated.models.values())
     about = "loops of the map of D and D̂(0) that converge, of those that do with the numerical predictor"
-    mapped = [Column(f"map, of {_kept(exact, exact)}", [_kept(scores, exact) for scores in rows], "d", about=about)]
+    shared = [_both_converge(scores, exact) for scores in rows]
+    mapped = [Column(f"map, of {_both_converge(exact, exact)}", shared, "d", about=about)]
     bounded, within = [scores.figure1_bounded for scores in rows], "of the loop shown with U within figure_bounds"
     settles = "settling time over the numerical predictor's, the median over the cases"
     D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
@@ -142,7 +143,7 @@ def scenarios(plant: Plant | None, evaluated: Evaluated) -> Table | None:
         Column("predictor", [label for _, label, _ in rows]),
         *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
-        *_columns(does, {"lost": "lost"}, "d"),
+        *_columns(does, {"diverged": "diverged"}, "d"),
         *_columns(does, {key: timed(plant, head) if plant else head for key, head in times.items()}),
         *_interventions(does),
     ]
@@ -162,8 +163,8 @@ def _interventions(rows: Sequence[Any]) -> list[Column]:
     return columns
 
 
-def _kept(scores: Scores, exact: Scores) -> int | None:
-    """The number of loops of the map that converge of those that do with the numerical predictor."""
+def _both_converge(scores: Scores, exact: Scores) -> int | None:
+    """How many loops of the map converge with this predictor and with the numerical one."""
     if scores.map is None or exact.map is None:
         return None
     return int((np.array(scores.map.converged) & np.array(exact.map.converged)).sum())
@@ -173,7 +174,7 @@ def certified(result: Certified) -> Table:
     """Each network's error of U, and its loops."""
     rows = list(result.models.values())
     heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median"}
-    counts = {"lost": "lost", "lost_guarded": "guarded"}
+    counts = {"diverged": "diverged", "diverged_guarded": "guarded"}
     if rows[0].adversarial is not None:
         heads["adversarial"] = "adversary"
         counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots"} | counts

@@ -1,4 +1,4 @@
-"""The networks, one artifact per network."""
+"""Train the networks; each is one result in the store."""
 
 from typing import TYPE_CHECKING, Any
 
