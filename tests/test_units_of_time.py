@@ -176,7 +176,7 @@ def test_a_control_step_follows_the_delay_and_the_rates():
 
 
 def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, monkeypatch):
-    monkeypatch.delenv("NPRED_QUIET")
+    monkeypatch.delenv("NPRED_QUIET", raising=False)
     scalar = npred.plant("scalar")
     rk4 = npred.predictor(scalar, "rk4", 5)
 
@@ -200,7 +200,7 @@ def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, m
 
 
 def test_a_controller_says_it_of_the_longest_delay_that_its_law_takes(capsys, monkeypatch):
-    monkeypatch.delenv("NPRED_QUIET")
+    monkeypatch.delenv("NPRED_QUIET", raising=False)
     scalar, law = npred.plant("scalar"), npred.DelayObserver(bounds=(0.01, 0.13))
     rk4 = npred.predictor(scalar, "rk4", 5)
     npred.controller(scalar, rk4, law, 0.005, actuator="history")

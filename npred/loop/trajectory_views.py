@@ -127,7 +127,7 @@ def _chosen(loops: "Trajectories", signals: Sequence[str]) -> dict[str, np.ndarr
             raise ConfigError(unlisted("signals", signal, of))
         chosen |= {name: every[name] for name in of[signal]}
     if not chosen:
-        raise ConfigError(f"signals: expected at least one of {', '.join(of)}, got none; name one of them")
+        raise ConfigError(f"signals: expected at least one of {', '.join(of)}, got none; give some")
     return chosen
 
 

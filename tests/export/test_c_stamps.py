@@ -161,6 +161,7 @@ class Pair:
         parts = [[python._step, python._t0], z.D_hat, z.phi_before, z.held, z.total, z.clock]
         parts += [z.observer] if python.adaptation and "observer" in python.state() else []
         parts += [z.missed, z.filter if python.observer else [], z.plan]
+        parts += [python.settings.p] if c_controller.settable(python) else []
         return np.concatenate([np.ravel(part) for part in parts])
 
     def compare(self):

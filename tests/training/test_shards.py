@@ -42,7 +42,7 @@ def test_the_joined_file_is_read_like_any_other_wherever_it_is_moved(sharded, tm
     assert same(Dataset.read(moved), whole)
     with h5py.File(moved) as file:
         assert file.attrs["plant"] == "scalar"
-        assert "seconds" in file["D_hat"].attrs["meaning"]
+        assert "delay estimate" in file["D_hat"].attrs["meaning"]
 
 
 def test_parts_and_columns_are_the_rows_in_their_order(sharded):

@@ -220,7 +220,7 @@ def test_round_trip_with_meaning_and_attributes(tmp_path):
         assert getattr(back, name).dtype == getattr(data, name).dtype
     with h5py.File(tmp_path / "data.h5") as file:
         assert file.attrs["plant"] == "scalar"
-        assert "seconds" in file["D_hat"].attrs["meaning"]
+        assert "delay estimate" in file["D_hat"].attrs["meaning"]
 
 
 def test_same_samples_same_bytes(tmp_path):
