@@ -11,8 +11,6 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
-from npred.guard.guarded import bare
-from npred.laws import Law
 from npred.plants import setpoint
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
@@ -90,8 +88,8 @@ def fixed(plant: Plant, predictor: Predictor) -> dict[str, str]:
     others = [name for name, has in (declared | {"reference": plant.tracks}).items() if has]
     in_f, in_any = _read(plant, "f"), _read(plant, "f", "kappa", "V", *others)
     predicted = ["f", *(["delay"] if plant.declares_delay else []), *([] if plant.one_delay else ["kappa"])]
-    trained = _read(plant, *predicted) if hasattr(bare(predictor), "operator") else set()
-    designed = in_f if isinstance(plant.law, Law) else set()
+    trained = _read(plant, *predicted) if hasattr(getattr(predictor, "model", predictor), "operator") else set()
+    designed = in_f if hasattr(plant.law, "guess") else set()
     reasons = {
         name: "the network was trained with it" if name in trained else "the law was designed with it"
         for name in (*trained, *designed)
