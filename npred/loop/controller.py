@@ -87,13 +87,13 @@ class Controller(InNotebook):
     With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in any
     state it is farther from X_hat than `outlier_limit` times half the box, or times |X_hat| if that is more. X_hat then
     takes its place, `missed` counts it, and an observer of the delay goes on without it. If samples are refused for
-    D_hat seconds, X has jumped: the next one is accepted within six half widths of the box's middle, and ten times as
+    a time of D_hat, X has jumped: the next one is accepted within six half widths of the box's middle, and ten times as
     far after each further D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
     `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
-    accepts an output within 6 `outlier_limit` standard deviations, and restarts if it refused one for D_hat seconds.
+    accepts an output within 6 `outlier_limit` standard deviations, and restarts if it refused one for a time of D_hat.
     `watchdog` gives U if no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
     declares (npred.SafetyFilter); with an uncertain delay it needs "history".
 

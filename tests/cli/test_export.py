@@ -188,7 +188,7 @@ def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     done = export("controller", "--predictor", "rk4", "--nx", "21", model=str(tmp_path / "seen.toml"))
     assert done.exit_code == 0, done.output
     header = Path("npred/npred.h").read_text()
-    assert "NPRED_N_OUTPUTS = 1" in header and " * X, a sample: S.\n * The state, by EKF: Z, S.\n" in header
+    assert "NPRED_N_OUTPUTS = 1" in header and " * X, a sample: S.\n" in header
     assert f"#define NPRED_DT {config.load(tmp_path / 'seen.toml').evaluate.dt!r}\n" in header
     assert run("npred/npred.c", "-DNPRED_TEST").returncode == 0
 

@@ -237,6 +237,7 @@ def test_strict_compilers_find_nothing_in_the_loop(tmp_path, files):
 @needs_gcc
 def test_no_step_of_a_loop_is_undefined(tmp_path, monkeypatch):
     monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
+    monkeypatch.setenv("NPRED_QUIET", "1")
     done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 

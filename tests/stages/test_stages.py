@@ -366,7 +366,7 @@ def test_bench_says_what_of_the_tails_is_the_machines(benched):
     found = benched[1]["stops"]
     assert found["per_s"] >= 0 and found["sentence"] == bench.stopped(Stops.of(found, "a test"))
     told = bench.stopped(Stops(per_s=400.0, median_us=38.2))
-    assert "400 times per second, for 38 µs in the median: from 2.5 µs per call on" in told
+    assert "400 times per second, for 38 µs in the median: p99.9 of calls from 2.5 µs on" in told
     assert "did not stop" in bench.stopped(Stops(per_s=0.0, median_us=0.0))
     assert bench.sentences(Benched.of(benched[1], "a test"))[-1] == found["sentence"]
 

@@ -279,7 +279,7 @@ static inline int is_near(Shape d, const Settings *s, const double *Y, double wi
     return near;
 }
 
-/* Take the sample Y as the state, unless it is too far from the model's value. If samples are refused for D_hat seconds,
+/* Take the sample Y as the state, unless it is too far from the model's value. If samples are refused for a time of D_hat,
  * the next is accepted: the state has jumped. Then the observer of the delay restarts, because its data are from before
  * the jump; it also restarts when the state comes back into the box. */
 static inline int compare_state(Shape d, double taken, double gate, Moment now, const Settings *s, State *z)

@@ -28,6 +28,13 @@ class Room:
         return [(20.0 - x.T) / p.K]
 
 
+class Steered(Room):
+    parameters = Room.parameters | {"strength": 1.0}
+
+    def kappa(x, t, p, M):
+        return [(10.0 - p.strength * (x.T - 10.0)) / p.K]
+
+
 class Unboxed(Room):
     box, kappa = {}, None
 
@@ -128,7 +135,7 @@ def test_an_input_whose_delay_is_open_has_the_middle_of_its_range():
 
 @pytest.mark.slow
 def test_tune_takes_the_pipeline_of_a_range():
-    made("Room", [1.0], [(0.0, 8.0)], 0.25, identifiable=[False])
+    made("Steered", [1.0], [(0.0, 8.0)], 0.25, identifiable=[False])
     runs()
-    done = CliRunner().invoke(app, ["tune", "log.toml", "-q", "--set", "tune.evaluations=10"])
+    done = CliRunner().invoke(app, ["tune", "log.toml", "-q", "--free", "strength", "--set", "tune.evaluations=10"])
     assert done.exit_code == 0, done.output
