@@ -120,10 +120,12 @@ def test_loops_that_creep_for_longer_than_is_looked_are_not_said_to_rest_elsewhe
         f = lambda x, u, t, p, M: [-1e-3 * x.x, -100 * x.y + u.u]
         kappa = lambda x, t, p, M: [-x.y]
 
-    found = answers(Plant("creep", Creep), 0.5)
-    row = found["prediction"]
+    case = Case(Plant("creep", Creep), 0.5, 101, 256, "as asked", None)
+    names = [question.name for question in diagnosis.QUESTIONS]
+    row = [case.ask(question) for question in diagnosis.QUESTIONS[: names.index("prediction") + 1]][-1]
+    assert row is not None
     assert row.verdict == "yes" and "have not settled after" in row.text and "the longest time simulated" in row.text
-    assert "elsewhere" not in row.text and found["delay margin"].verdict == "yes"
+    assert "elsewhere" not in row.text
 
 
 def test_a_plant_that_needs_no_predictor_is_named():
