@@ -286,7 +286,8 @@ def measured(controller: Controller, random: np.random.Generator, length: int) -
 def run_call(source: str) -> str:
     """The C function that makes a call of these runs: that of the self-test with other names."""
     (body,) = re.findall(r"static int test_call\(.*?^\}$", source, re.MULTILINE | re.DOTALL)
-    for old, new in {"test_": "run_", "TEST_ROWS": "RUN_CALLS", "TEST_U_ROWS": "RUN_CALLS", "run_set(": "test_set("}.items():
+    names = {"test_": "run_", "TEST_ROWS": "RUN_CALLS", "TEST_U_ROWS": "RUN_CALLS", "run_set(": "test_set("}
+    for old, new in names.items():
         body = body.replace(old, new)
     return body
 
