@@ -162,7 +162,7 @@ def converging(name: str, case: Case) -> Answer:
     if eighth < EIGHTHS:
         all_from = f"all from {eighth}/{EIGHTHS} of the box around {case.state(centre)}"
         parts.append(all_from if shares[eighth] == 1 else "not all from any smaller box")
-    _, seconds, horizon = loops.times(case)
+    _, seconds, horizon = case.times
     looked = f"; they {settles.text(case)}" if settles.settled.any() else f" in {case.plant.time_text(seconds, '.3g')}"
     slow = f"; the slowest rate needs {horizon / seconds:.2g} times the simulated time"
     looked += slow if seconds < horizon else ""

@@ -7,7 +7,7 @@ import numpy as np
 
 from npred.base.registry import FROZEN, OBSERVER, PAPER
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.loops import FOLLOWS, HOME, LARGEST, fate, times
+from npred.diagnosis.loops import FOLLOWS, HOME, LARGEST, fate
 from npred.estimation.adaptation import DelayAdaptation
 from npred.estimation.delay_observer import DelayObserver
 from npred.loop.closed_loop import simulate
@@ -62,7 +62,7 @@ def converges(case: Case) -> Verdict:
     else:
         D, D_hat, X0 = case.delay, case.delay * np.array(ESTIMATES), case.X[:STARTS]
         law, dt = DelayAdaptation().suited(case.plant, D, D_hat), D / steps
-        loops = AdaptiveLoops(law, D, D_hat, X0, dt, times(case)[1], most_nodes, True, _run)
+        loops = AdaptiveLoops(law, D, D_hat, X0, dt, case.times[1], most_nodes, True, _run)
     seconds = max(loops.seconds, DELAYS * loops.D)
     dt = max(loops.dt, min(seconds / MOST, loops.D / steps))  # longer, then in a shorter time, for MOST steps
     loops = replace(loops, dt=dt, seconds=min(seconds, MOST * dt), nodes=min(loops.nodes, most_nodes))

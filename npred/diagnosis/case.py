@@ -10,9 +10,8 @@ import numpy as np
 from npred.base import randomness, source_lines
 from npred.base.errors import ConfigError
 from npred.base.registry import WITHOUT_V
-from npred.plants import inputs
+from npred.plants import inputs, speed
 from npred.plants.base import Plant
-from npred.plants.speed import long
 from npred.prediction.delays import problem_of
 
 if TYPE_CHECKING:
@@ -21,6 +20,9 @@ if TYPE_CHECKING:
 
 Verdict = tuple[Literal["yes", "warn", "no"], str] | tuple[Literal["yes", "warn", "no"], str, dict[str, Any]]
 SHOWN = 3  # states in a sentence, at most
+STEP = 0.5  # a step of RK4, times the fastest rate on the box
+MOST = 20_000  # steps
+SPAN = 30.0  # time constants of the slowest rate at the equilibrium
 MOMENTS = 16  # at which a declared delay that depends on time is looked at
 
 
@@ -121,6 +123,19 @@ class Case:
         return np.where(width > 0, width, np.maximum(np.abs(self.ends[:, 0]), 1.0))
 
     @cached_property
+    def times(self) -> tuple[float, float, float]:
+        """The step, the time to look at, and the time that is needed: SPAN time constants, or `speed.settled`."""
+        plant, X = self.plant, self.X
+        f_X, f_U = plant.jacobians(X, self.u)
+        rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
+        horizon = speed.settled(plant)
+        if plant.rests:
+            eigenvalues = np.linalg.eigvals(plant.linearised()[0])
+            rates, horizon = max(rates, np.abs(eigenvalues).max()), SPAN / -eigenvalues.real.max()
+        h = STEP / rates if rates > 0 else horizon / MOST
+        return h, min(horizon, MOST * h), horizon
+
+    @cached_property
     def limits(self) -> np.ndarray:
         """The input bounds (m, 2), the experiment's before the plant's."""
         return inputs.bounds(self.plant, self.experiment.input_bounds if self.experiment else None)
@@ -135,7 +150,7 @@ class Case:
     @cached_property
     def delays(self) -> tuple[np.ndarray, np.ndarray]:
         """Times t (T,) over a period, and the delay that the plant declares at t and each sample, (T, samples)."""
-        t = np.linspace(0.0, long(self.plant), MOMENTS) if self.plant.clocked else np.zeros(1)
+        t = np.linspace(0.0, speed.long(self.plant), MOMENTS) if self.plant.clocked else np.zeros(1)
         with np.errstate(all="ignore"):
             return t, np.array([self.plant.delay(self.X, moment) for moment in t])
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from npred.base import source_lines
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.loops import LOOPS, Fate, fate, times
+from npred.diagnosis.loops import LOOPS, Fate, fate
 from npred.estimation.adaptation import undeclared
 from npred.formulas import array_math, programs
 from npred.formulas.tape import names
@@ -112,7 +112,7 @@ def limited(case: Case) -> Verdict:
 
 def converges(case: Case) -> Verdict:
     """Whether loops of the clipped kappa without delay come from the box to the equilibrium or the reference."""
-    X0, (_, seconds, horizon) = case.X[:LOOPS], times(case)
+    X0, (_, seconds, horizon) = case.X[:LOOPS], case.times
     loops, shown = approach(case, X0), case.plant.time_text(seconds, ".3g")
     home, fails = loops.settled, ~loops.converges
     if home.all():
@@ -131,7 +131,7 @@ def converges(case: Case) -> Verdict:
 
 def approach(case: Case, X0: np.ndarray) -> Fate:
     """How loops without delay from X0 (B, n) end."""
-    closed, (h, seconds, _) = _closed(case), times(case)
+    closed, (h, seconds, _) = _closed(case), case.times
     nodes = max(int(seconds / h), 600) + 1  # a time constant has 20, at least
     X = RK4(closed, nodes)(X0, np.zeros((nodes, closed.m)), seconds)
     return fate(case, X, seconds)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from npred.diagnosis.case import Case, Verdict
-from npred.diagnosis.loops import LOOPS, fate, run, step, times
+from npred.diagnosis.loops import LOOPS, fate, run, step
 from npred.loop.safety import SafetyFilter
 
 STEPS, MOST = 20, 2000  # control steps in a delay, at least, and in a loop, at most
@@ -17,7 +17,7 @@ def applies(case: Case) -> bool:
 def kept(case: Case) -> Verdict:
     """The loops from the box, of a known delay, that break a limit once the first command acts, or do not converge."""
     dt = step(case, (STEPS, STEPS))
-    t_end = case.D + min(times(case)[1], MOST * dt)
+    t_end = case.D + min(case.times[1], MOST * dt)
     outside, fails = zip(*(_failing(case, dt, t_end, safety) for safety in (None, SafetyFilter())), strict=True)
     shown = case.plant.time_text
     text = (

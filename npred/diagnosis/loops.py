@@ -8,16 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from npred.base import randomness
-from npred.diagnosis.case import Case
+from npred.diagnosis.case import MOST, SPAN, STEP, Case
 from npred.loop.closed_loop import simulate
 from npred.loop.trajectories import Trajectories
-from npred.plants import speed
 from npred.prediction.methods import RK4
 
 LOOPS = 64  # starts, of the states of the box
-STEP, STABLE = 0.5, 2.0  # a step of RK4, times the fastest rate on the box; the longest that is stable
-MOST = 20_000  # steps
-SPAN = 30.0  # time constants of the slowest rate at the equilibrium
+STABLE = 2.0  # the longest step of RK4 that is stable, times the fastest rate on the box
 HOME = 0.01  # share of the box, 2 % of half of it: this close to its target a loop has settled
 FOLLOWS = 0.05  # share of the box: so near a loop follows its reference, for held commands are late by dt / 2
 FALLING = 0.9  # a loop that still converges is this much closer in the last quarter than in the second
@@ -81,19 +78,6 @@ def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME) -> Fate:
     return Fate(settles, ~(end <= near) & (end < FALLING * middle), ~(FALLING * end <= middle))
 
 
-def times(case: Case) -> tuple[float, float, float]:
-    """The step, the time to look at, and the time that is needed: SPAN time constants, or `speed.settled`."""
-    plant, X = case.plant, case.X
-    f_X, f_U = plant.jacobians(X, case.u)
-    rates = np.abs(np.linalg.eigvals(np.concatenate([f_X, f_X + f_U @ plant.kappa_jacobian(X)]))).max()
-    horizon = speed.settled(plant)
-    if plant.rests:
-        eigenvalues = np.linalg.eigvals(plant.linearised()[0])
-        rates, horizon = max(rates, np.abs(eigenvalues).max()), SPAN / -eigenvalues.real.max()
-    h = STEP / rates if rates > 0 else horizon / MOST
-    return h, min(horizon, MOST * h), horizon
-
-
 def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
     """Distances of loops X (B, nt, n) from their target, in widths of the box, (B, nt)."""
     target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
@@ -112,12 +96,12 @@ def run(case: Case, D_hat: float, X0: np.ndarray, t_end: float, dt: float, **par
 
 def nodes(case: Case, D_hat: float) -> int:
     """The nodes of the prediction, with which RK4 is stable."""
-    return 2 if D_hat == 0 else max(NODES, math.ceil(STEP * D_hat / times(case)[0] / STABLE) + 1)
+    return 2 if D_hat == 0 else max(NODES, math.ceil(STEP * D_hat / case.times[0] / STABLE) + 1)
 
 
 def step(case: Case, steps: tuple[int, int] = STEPS) -> float:
     """The control step of simulated loops, of which there are so many in D: the first number for a slow plant."""
-    h = times(case)[0]
+    h = case.times[0]
     return min(h, max(case.D / steps[1], min(case.D / steps[0], h / FINE)))
 
 
@@ -271,7 +255,7 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
 
 def spans(case: Case, D_hat: float) -> tuple[float, float]:
     """How long the slowest linear motion takes to settle, and how long loops are looked at, at most."""
-    enough, dt = case.D + D_hat + FIRST * times(case)[2], step(case)
+    enough, dt = case.D + D_hat + FIRST * case.times[2], step(case)
     return enough, min(TIMES * enough, dt * WORK / nodes(case, D_hat), dt * MOST)
 
 

@@ -66,7 +66,7 @@ class Simulation:
 
     @cached_property
     def begins(self) -> dict[int, settable.Piece]:
-        """The control step from which each of them holds; of several at one the last."""
+        """The pieces after the first by the control step at which they begin; of several at one step the last."""
         starts = [(max(math.ceil(piece.start / self.loop.dt - SNAP), 0), piece) for piece in self.course[1:]]
         return {k: piece for k, piece in starts if k < self.count}
 

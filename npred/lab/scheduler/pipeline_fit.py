@@ -14,7 +14,6 @@ from npred.base.registry import NETWORKS
 from npred.diagnosis import Answer, Case, PlannedExperiment
 from npred.diagnosis.adaptive_loop import STARTS, AdaptiveLoops
 from npred.diagnosis.equilibrium import DECLARE, SLIP
-from npred.diagnosis.loops import times
 from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
 from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
@@ -95,7 +94,7 @@ class PipelineFit:
         assert isinstance(law, DelayAdaptation)
         X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat0, *table.case_D_hat0}))
         X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == self.plant.n else X0
-        seconds, derived = times(case)[1], table.gamma is None
+        seconds, derived = case.times[1], table.gamma is None
         return AdaptiveLoops(law, table.D, D_hat, X0, table.dt, seconds, table.nx, derived, self._simulated)
 
     def _simulated(self, loops: AdaptiveLoops, adaptation: str, rk4: predictors.RK4, every: int) -> Trajectories:
