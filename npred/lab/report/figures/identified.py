@@ -10,7 +10,7 @@ from npred.lab.report.figures.style import DOTTED, ROLES, Axes, LineStyle, short
 from npred.plants import Plant
 from npred.plants.notation import quantity, timed
 
-BLUE, FILL = ROLES["blue"][0], ROLES["fill"][0]
+FILL = ROLES["fill"][0]
 RECORDED, MODEL, COMMANDS = LineStyle("muted", (), 0, "."), LineStyle("blue", width=1.2), LineStyle("ink", width=1.2)
 POINTS = LineStyle("blue", marker=".")
 
