@@ -379,7 +379,8 @@ class Controller(InNotebook):
         before = None
         if self._awaits_X:
             if not came or not np.isfinite(self._Y).all():
-                raise DivergedError(f"step: expected a finite first X, got none; {HELD}")
+                got = "one that is not" if came else "none"
+                raise DivergedError(f"step: expected a finite first X, for u0 is kappa of it, got {got}; {HELD}")
             before = self.state()
             past = self._past(self._Y)
             _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
@@ -389,12 +390,12 @@ class Controller(InNotebook):
         code = self._engine.call(now, gap, came, age)
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
             self.restore(before)
-            raise DivergedError(self._refusal(code, booked=False))
+            raise DivergedError(self._refusal(code, came, age, booked=False))
         if abs(now - self.t) > SNAP * self.dt:
             self._t0, self._step = now, 0
         self._step += 1
         if code:
-            raise DivergedError(self._refusal(code, booked=self.keeps_commands))
+            raise DivergedError(self._refusal(code, came, age, booked=self.keeps_commands))
         self._awaits_X = False
         self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
@@ -534,11 +535,11 @@ class Controller(InNotebook):
             if not self._reads_commands:
                 came = f"got {self.actuator!r}, whose calls are each dt"
                 raise ConfigError(f't: expected actuator="history", {came}; omit t')
-            starts = not self._clock["calls"] and math.isfinite(now)
-            if abs(now - self.t) > SNAP * self.dt and not starts:
-                if not last < now < math.inf:
-                    what = f"expected a time after that of the last call, {last:.9g}, got {now:.9g}"
-                    raise ConfigError(f"t: {what}; use one clock")
+            starts, regular = not self._clock["calls"], abs(now - self.t) <= SNAP * self.dt
+            if not math.isfinite(now) or not (starts or regular or now > last):
+                after = "" if starts else f" after that of the last call, {last:.9g}"
+                raise ConfigError(f"t: expected a finite time{after}, got {now:.9g}; use one clock")
+            if not (starts or regular):
                 gap = float(snapped((now - last) / self.dt))
         if sampled_at is not None:
             age = (now - array_checks.number("sampled_at", sampled_at)) / self.dt
@@ -616,14 +617,18 @@ class Controller(InNotebook):
         if not self._reads_commands:
             self._u[:], self._u_nodes[:] = u, u_nodes
 
-    def _refusal(self, code: int, booked: bool) -> str:
-        """Why a step gives no U to send, and the cure, in words."""
-        kept, came = self.plant.time_text(self.reach), self.memory.D_seen.max()
+    def _refusal(self, code: int, came: bool, age: float, booked: bool) -> str:
+        """Why a step, with a sample of that age if one came, gives no U to send, and the cure, in words."""
+        time, seen = self.plant.time_text, self.memory.D_seen.max()
+        sample = "none" if not came else "one that is not newer than the last"
+        if came and age > self._oldest:
+            sample = f"one that is {time(age * self.dt)} old, more than max_sample_age = {time(self._oldest * self.dt)}"
         reason = {
-            engine.MEASUREMENT: "expected finite X and u, got one that is not",
+            engine.MEASUREMENT: f"expected finite {'X' if self._reads_commands else 'X and u'}, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {kept}, the length of the history, got {came:g}; "
+            engine.TOO_LONG: f"expected a delay of at most {time(self.reach)}, the length of the history, got {seen:g}; "
             "raise history_length",
+            engine.UNKNOWN: f"expected a sample of X, for nothing tells the state, got {sample}",
         }[code]
         sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""
         return f"step: {reason}; {HELD}{sent}"

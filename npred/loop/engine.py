@@ -22,7 +22,8 @@ from npred.prediction.methods.base import OneStep
 LOOP = ("actuator.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "marks.h", "engine.h")
 ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
 ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "controller.h", "marks.h", "clocked.h")
-MEASUREMENT, PREDICTION, TOO_LONG = 1, 2, 4  # in a step: what is not finite, or a delay beyond the kept commands
+# in a step: what is not finite, a delay beyond the kept commands, no sample that tells the state
+MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN = 1, 2, 4, 6
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
 
 
@@ -112,7 +113,7 @@ class Engine:
         """A call of a controller at time t, `gap` control steps after the last one: U, P and the next D_hat.
 
         They follow from the sample, where one `came`, taken `age` control steps ago, and from u or the commands before.
-        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION or TOO_LONG. Then the last U is booked.
+        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION, TOO_LONG or UNKNOWN. Then the last U is booked.
         """
         code = loaded(ON_A_PLANT).called(self._shape, t, gap, came, age, *self._passed, self._scratch)
         self._failure.raised()

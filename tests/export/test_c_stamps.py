@@ -149,7 +149,8 @@ class Pair:
             return self.python.memory.U[:, 0].copy(), 3
         except DivergedError as refusal:
             reason = str(refusal)
-            code = 2 if "the prediction from X" in reason else 4 if "raise history_length" in reason else 1
+            words = {"finite X, got": 1, "the prediction from X": 2, "raise history_length": 4, "a sample of X": 6}
+            (code,) = (code for words, code in words.items() if words in reason)
             return self.python.memory.U[:, 0].copy(), code
 
     def state_of_c(self):

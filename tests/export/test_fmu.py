@@ -232,14 +232,15 @@ def test_before_the_first_sample_it_says_so(instance):
     run.set("sample_age", -1.0)
     run.step(POSE)
     assert run.get("age") == -1.0 and run.messages == [
-        "step at 0 s: expected finite inputs, got one that is not; U keeps its value"
+        "step at 0 s: no sample so far that was not too old: the state is unknown; U keeps its value"
     ]
-    run.set("sample_age", np.inf)
-    run.step(POSE)
-    assert "expected a finite sample_age" in run.messages[1]
+    for k, age in enumerate((np.inf, np.nan)):
+        run.set("sample_age", age)
+        run.step(POSE)
+        assert "expected a finite sample_age" in run.messages[1 + k]
     run.set("sample_age", 0.0)
     run.step(POSE)
-    assert run.get("age") == 0.0 and len(run.messages) == 2
+    assert run.get("age") == 0.0 and len(run.messages) == 3
 
 
 def test_of_several_steps_in_one_those_that_are_refused_hold_u(instance):

@@ -156,7 +156,7 @@ def test_a_command_that_was_not_sent_is_corrected_at_the_next_call():
 def test_after_a_pause_of_many_histories_nothing_is_expected():
     controller = motor()
     controller.step([0.5, 0.0], t=0.0)
-    with pytest.raises(DivergedError, match="expected finite X"):
+    with pytest.raises(DivergedError, match="expected a sample of X, .* got none"):
         controller.step(None, t=100.0)
     assert np.isfinite(controller.step([2.9, -4.0], t=100.01)).all() and controller.status.missed == 0
 
@@ -197,10 +197,41 @@ def test_a_saved_clock_without_a_position_is_refused(stamp):
     assert controller.state() == before
 
 
+@pytest.mark.parametrize("time", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("calls", [0, 1, 5])
+def test_a_time_that_is_not_finite_is_refused_and_changes_nothing(time, calls):
+    controller = motor(law=SEEKING)
+    for _ in range(calls):
+        controller.step([0.5, 0.0])
+    before = controller.state()
+    for stamps in ({"t": time}, {"sampled_at": time}, {"t": controller.t, "sampled_at": time}):
+        with pytest.raises(ConfigError, match=rf"{[*stamps][-1]}: expected a .*time.*, got -?(nan|inf); use one clock"):
+            controller.step([0.5, 0.0], **stamps)
+    with pytest.raises(ConfigError, match="t: expected a finite time"):
+        controller.t = time
+    assert str(controller.state()) == str(before)
+
+
+def test_until_a_sample_tells_the_state_it_says_what_is_missing():
+    controller = motor(max_sample_age=0.1)
+    said = "step: expected a sample of X, for nothing tells the state, got "
+    with pytest.raises(DivergedError, match=f"{said}none; keep the actuator at the last U"):
+        controller.step(None)
+    with pytest.raises(DivergedError, match=f"{said}one that is 0.3 s old, more than max_sample_age = 0.1 s; keep"):
+        controller.step([0.5, 0.0], sampled_at=controller.t - 0.3)
+    with pytest.raises(DivergedError, match="step: expected finite X, got one that is not; keep"):
+        controller.step([np.nan, 0.0])
+    assert np.isfinite(controller.step([0.5, 0.0], sampled_at=controller.t - 0.05)).all()
+    with pytest.raises(DivergedError, match=f"{said}none; keep"):
+        controller.step(None, t=controller.t + 100.0)  # so long that the model expects nothing any more
+    with pytest.raises(DivergedError, match="expected a finite first X, for u0 is kappa of it, got one that is not"):
+        motor(u0="law").step([np.nan, 0.0])
+
+
 def test_times_that_cannot_be_are_refused_in_one_line():
     controller = motor()
     controller.step([0.5, 0.0], t=1.0)
-    with pytest.raises(ConfigError, match=r"t: expected a time after that of the last call, 1, got 0\.5"):
+    with pytest.raises(ConfigError, match=r"t: expected a finite time after that of the last call, 1, got 0\.5"):
         controller.step(None, t=0.5)
     with pytest.raises(ConfigError, match=r"sampled_at: expected a time up to that of the call, 1\.01, got 1\.5"):
         controller.step([0.5, 0.0], t=1.01, sampled_at=1.5)

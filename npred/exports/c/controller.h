@@ -23,12 +23,13 @@ extern "C" {
 enum {
 #include "sizes.h"
     NPRED_OK = 0,
-    /* After 1, 2 and 4: keep the actuator at the last U (the controller assumes so), and pass the next sample. */
+    /* After 1, 2, 4 and 6: keep the actuator at the last U (the controller assumes so), and pass the next sample. */
     NPRED_MEASUREMENT_NOT_FINITE = 1,
     NPRED_PREDICTION_NOT_FINITE = 2,
     NPRED_STATE_REFUSED = 3,    /* an argument is out of range, or from another controller; nothing has changed */
     NPRED_DELAY_TOO_LONG = 4,   /* D_hat is longer than the stored history of commands */
-    NPRED_SETPOINT_REFUSED = 5  /* not finite, or its rest needs a U outside the bounds; nothing has changed */
+    NPRED_SETPOINT_REFUSED = 5, /* not finite, or its rest needs a U outside the bounds; nothing has changed */
+    NPRED_STATE_UNKNOWN = 6     /* no sample yet that could be used, or none since a very long pause */
 };
 
 /* All that a step needs from the steps before it. */

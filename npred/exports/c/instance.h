@@ -314,7 +314,7 @@ static int control_step(Instance *self, double due)
     const int code = npred_step(&self->controller, self->X, self->u, U);
 #else
     const double age = self->now.values[AT_SAMPLE_AGE];
-    const int code = npred_step_at(&self->controller, due, age >= 0 ? self->X : NULL, due - age, U);
+    const int code = npred_step_at(&self->controller, due, age < 0 ? NULL : self->X, due - age, U); /* NaN is refused */
     read_status(self);
 #endif
     if (code == NPRED_OK) {
@@ -335,6 +335,7 @@ static const char *reason(int code)
     return code == NPRED_MEASUREMENT_NOT_FINITE  ? "expected finite inputs, got one that is not"
            : code == NPRED_PREDICTION_NOT_FINITE ? "the prediction from these inputs is not finite"
            : code == NPRED_STATE_REFUSED         ? "expected a finite sample_age, got another"
+           : code == NPRED_STATE_UNKNOWN         ? "no sample so far that was not too old: the state is unknown"
                                                  : "the delay is longer than the stored history of commands";
 }
 

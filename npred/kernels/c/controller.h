@@ -5,7 +5,7 @@
  * step of a regular clock; if all calls are on time, these means are the commands. */
 
 /* Why a step gives no U; an export uses the same numbers. */
-enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4 };
+enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4, STATE_UNKNOWN = 6 };
 
 #define PAUSE 4.0  /* lengths of the history: after a longer pause the controller expects nothing of the state */
 #define AROUND 6.0 /* half widths of the box: a state that jumps farther is accepted later */
@@ -448,7 +448,7 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
         find_delay(d, now, used, now.at - age, q, s, z, work);
     }
     if (!s->watched && (bad || !all_finite(d.n, z->X_hat))) {
-        return MEASUREMENT_NOT_FINITE;
+        return bad ? MEASUREMENT_NOT_FINITE : STATE_UNKNOWN;
     }
     D_hat = z->D_hat[0];
     decide(d, q, s, z, k, larger(now.at - (double)k, 0.0), t, work);
