@@ -55,6 +55,7 @@ class Guarded(Predictor):
         if exact is not None and not isinstance(exact, Predictor):
             raise ConfigError(f"exact: expected a Predictor, got {exact!r}; make one with npred.predictor")
         super().__init__(model.plant, model.nx)
+        self.plant.own("exact", exact)
         if not array_checks.number("tolerance", tolerance) > 0:
             raise ConfigError(f"tolerance: expected a number above 0, in units of U, got {tolerance!r}; give another")
         if self.nx < FEWEST:

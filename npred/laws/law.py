@@ -1,7 +1,7 @@
 """A law as the Python that it is: called as a plant's kappa is, printed to be pasted, pickled by its text."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -33,10 +33,13 @@ class Law:
         The definition of kappa in Python.
     guess : (n,), the states' units
         The rest that the law holds.
+    made_for : dict, optional
+        The formulas of the plant that it was designed for: another one refuses it, but takes its text.
     """
 
     text: str
     guess: tuple[float, ...]
+    made_for: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def function(self) -> Callable[..., list[Value]]:
@@ -51,8 +54,8 @@ class Law:
     def __str__(self) -> str:
         return self.text
 
-    def __reduce__(self) -> tuple[type["Law"], tuple[str, tuple[float, ...]]]:
-        return Law, (self.text, self.guess)
+    def __reduce__(self) -> tuple[type["Law"], tuple[str, tuple[float, ...], Mapping[str, Any]]]:
+        return Law, (self.text, self.guess, self.made_for)
 
 
 def written(trace: Trace, guess: tuple[float, ...], outputs: Vector) -> Law:
@@ -62,7 +65,7 @@ def written(trace: Trace, guess: tuple[float, ...], outputs: Vector) -> Law:
     bindings |= {f"p{k}": f"p.{name}" for k, name in enumerate(plant.p_names)}
     results = names("u", plant.m)
     lines = programs.lines(outputs, bindings, results, TEXTS)
-    return _defined([*lines, f"return [{', '.join(results)}]"], guess)
+    return _defined([*lines, f"return [{', '.join(results)}]"], guess, plant)
 
 
 def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np.ndarray) -> Law:
@@ -87,7 +90,7 @@ def linear(plant: Plant, K: np.ndarray, X: np.ndarray, u: np.ndarray, widths: np
             sign, first = terms[0].split(" ", 1)
             terms[0] = first if sign == "+" else f"-{first}"
         commands.append(" ".join(terms))
-    return _defined([f"return [{', '.join(commands)}]"], tuple(X.tolist()))
+    return _defined([f"return [{', '.join(commands)}]"], tuple(X.tolist()), plant)
 
 
 def error(state: str, rest: float) -> str:
@@ -100,5 +103,6 @@ def rounded(values: Any) -> np.ndarray:
     return np.array([float(f"{value:.{DIGITS}g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
-def _defined(lines: Sequence[str], guess: tuple[float, ...]) -> Law:
-    return Law("\n".join(["def kappa(x, t, p, M):", *(f"    {line}" for line in lines)]) + "\n", guess)
+def _defined(lines: Sequence[str], guess: tuple[float, ...], plant: Plant) -> Law:
+    text = "\n".join(["def kappa(x, t, p, M):", *(f"    {line}" for line in lines)]) + "\n"
+    return Law(text, guess, plant.formulas)

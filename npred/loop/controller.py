@@ -626,8 +626,8 @@ class Controller(InNotebook):
         reason = {
             engine.MEASUREMENT: f"expected finite {'X' if self._reads_commands else 'X and u'}, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {time(self.reach)}, the length of the history, got {seen:g}; "
-            "raise history_length",
+            engine.TOO_LONG: f"expected a delay of at most {time(self.reach)}, the length of the history, got "
+            f"{seen:g}; raise history_length",
             engine.UNKNOWN: f"expected a sample of X, for nothing tells the state, got {sample}",
         }[code]
         sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""

@@ -113,7 +113,7 @@ class Engine:
         """A call of a controller at time t, `gap` control steps after the last one: U, P and the next D_hat.
 
         They follow from the sample, where one `came`, taken `age` control steps ago, and from u or the commands before.
-        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION, TOO_LONG or UNKNOWN. Then the last U is booked.
+        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN. Then the last U is booked.
         """
         code = loaded(ON_A_PLANT).called(self._shape, t, gap, came, age, *self._passed, self._scratch)
         self._failure.raised()

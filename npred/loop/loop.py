@@ -1,7 +1,7 @@
 """One description of a loop: for simulation, for a controller, and for a pipeline's tables."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Literal, Self, TypedDict, get_args
 
 import numpy as np
@@ -72,6 +72,14 @@ class Loop:
     def reads_commands(self) -> bool:
         """True if the controller reads the actuator state from its own commands."""
         return self.actuator == HISTORY
+
+    @property
+    def parts(self) -> Iterator[tuple[str, Any]]:
+        """Its parts, and what they are made of, by name: the law of a watchdog, say."""
+        for name, part in vars(self).items():
+            yield name, part
+            if is_dataclass(part):
+                yield from ((f"{name}: {inner}", value) for inner, value in vars(part).items())
 
     @property
     def on_a_clock(self) -> bool:

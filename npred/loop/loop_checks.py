@@ -157,29 +157,17 @@ KINDS = {
 
 
 def parts(loop: Loop) -> None:
-    """Raise ConfigError for a part of the wrong kind, or of another plant.
-
-    A network may predict a plant that drifted; a kernel takes the loop's parameters and must be of its formulas.
-    """
+    """Raise ConfigError for a part of the wrong kind, or made for another plant."""
     for name, (kind, expected, todo) in KINDS.items():
         value = getattr(loop, name)
         if not isinstance(value, kind) and (value is not None or name in ("plant", "measurement")):
             raise ConfigError(f"{name}: expected {expected}, got {value!r}; {todo}")
     if loop.actuator not in (MEASURED, HISTORY):
         raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
-    plant, predictor = loop.plant, loop.predictor
-    if predictor is not None:
-        other = predictor.plant
-        alike = (other.n, other.m) == (plant.n, plant.m)
-        if alike and (predictor.compiled or predictor.guard is not None):
-            alike = (other.program, other.parameters) == (plant.program, plant.parameters)
-            alike = alike and np.array_equal(other.ratios, plant.ratios)
-        if not alike:
-            came = f"got one of {other.name} with {other.parameters}"
-            what = f"expected one of plant {plant.name} with its parameters, {came}"
-            raise ConfigError(f"predictor: {what}; build it for this plant")
+    for name, part in loop.parts:
+        loop.plant.own(name, part)
     if loop.adaptation is not None:
-        loop.adaptation.check(plant)
+        loop.adaptation.check(loop.plant)
 
 
 def integrator(name: Any, *plants: Plant) -> type[OneStep]:

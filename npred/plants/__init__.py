@@ -133,7 +133,9 @@ def make(
 ) -> Plant:
     """The plant of a declaration: traced, unless it says `traced = False`."""
     kind = Plant if getattr(declaration, "traced", True) else BlackBox
-    return kind(name, declaration, parameters, source)
+    plant = kind(name, declaration, parameters, source)
+    plant.own("kappa", plant.declaration.kappa)  # it may be a law that was designed for another one
+    return plant
 
 
 def named() -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """A plant: its author's declaration, its equilibrium, its functions on arrays, and their texts."""
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar
@@ -86,6 +87,7 @@ class Plant(InNotebook):
         if not self.traced:
             cure = "write kappa(X, t, p) in its class"
             raise ConfigError(f"plant {self.name}: kappa expected a plant that is traced, got traced = False; {cure}")
+        self.own("kappa", kappa)
         plant = type(self)(self.name, self.declared, self.parameters, self.source, kappa)
         plant.spec = self.spec
         return plant
@@ -400,6 +402,39 @@ class Plant(InNotebook):
         functions += ["setpoint"] if self.declares_setpoint else []
         return {name: self.printed(name) for name in functions}
 
+    @cached_property
+    def formulas(self) -> Mapping[str, Any]:
+        """What moves its state, numbers aside: the names of states and inputs, f, and how late each input is."""
+        texts = {name: self.printed(name) for name in ("f", "delay") if name == "f" or self.declares_delay}
+        texts = {name: _digest(text) for name, text in (texts if self.traced else self.program).items()}
+        return {"states": self.states, "inputs": self.inputs, "ratios": self.ratios.tolist()} | texts
+
+    @cached_property
+    def identity(self) -> Mapping[str, Any]:
+        """What a part made for it depends on: a plant that is made again by an equal declaration has an equal one."""
+        parts = {"parameters": dict(self.parameters), "state_bounds": self.state_bounds, "outputs": self.outputs}
+        parts |= {"output": _digest(self.printed("output"))} if self.declares_output and self.traced else {}
+        return {**self.formulas, **parts, **{name: _digest(text) for name, text in self.program.items()}}
+
+    def own(self, name: str, part: Any) -> None:
+        """Raise ConfigError for a part, or a method of one, that was made for another plant, which it has as `plant`.
+
+        One that `drifts`, as a network, and a law, which has the plant's formulas as `made_for`, may be of another
+        plant's parameters. All others take those of the loop, and so must be made for them.
+        """
+        part = getattr(part, "__self__", part)
+        of, whole, whose = getattr(part, "plant", None), not getattr(part, "drifts", False), "another plant"
+        if of is self:
+            return
+        if isinstance(of, Plant):
+            theirs, whose = of.identity if whole else of.formulas, of.name
+        else:
+            theirs, whole = getattr(part, "made_for", {}), False
+        ours = self.identity if theirs and whole else self.formulas if theirs else {}
+        if differ := [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]:
+            got = f"got one of {whose}, whose {', '.join(differ)} differ"
+            raise ConfigError(f"{name}: expected one of plant {self.name}, {got}; make it for this plant")
+
     def printed(self, name: str) -> str:
         """The lines of a function's program, from x0, …, u0, …, t and p0, … to y0, …; equal formulas, equal lines."""
         trace = Trace(self)
@@ -417,6 +452,10 @@ def require(plant: object) -> None:
     """Raise ConfigError unless it is a plant."""
     if not isinstance(plant, Plant):
         raise ConfigError(f"plant: expected a Plant, got {plant!r}; make one with npred.plant")
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _few(words: Sequence[str]) -> str:

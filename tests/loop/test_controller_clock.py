@@ -156,7 +156,7 @@ def test_a_command_that_was_not_sent_is_corrected_at_the_next_call():
 def test_after_a_pause_of_many_histories_nothing_is_expected():
     controller = motor()
     controller.step([0.5, 0.0], t=0.0)
-    with pytest.raises(DivergedError, match="expected a sample of X, .* got none"):
+    with pytest.raises(DivergedError, match=r"expected a sample of X, .* got none"):
         controller.step(None, t=100.0)
     assert np.isfinite(controller.step([2.9, -4.0], t=100.01)).all() and controller.status.missed == 0
 

@@ -88,6 +88,11 @@ class Predictor(InNotebook, ABC):
         """True if the map, and its check, are compiled kernels."""
         return False
 
+    @property
+    def drifts(self) -> bool:
+        """True if it may predict a plant of other parameters, as a network in Python: a kernel takes the loop's."""
+        return not (self.compiled or self.guard is not None)
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of plant {self.plant.name}, nx = {self.nx}>"
 
