@@ -144,7 +144,7 @@ def meant_loop(
     """That loop, or loops side by side."""
     return npred.simulate(
         predictor.plant, predictor, D=D, D_hat=D_hat, X0=start, t_end=t_end, dt=dt,
-        adaptation=npred.DelayAdaptation(gamma=GAMMA, b=B, bounds=BOUNDS), input_bounds=limits,
+        adaptation=npred.DelayAdaptation(gamma=GAMMA, b=B, bounds=BOUNDS), input_bounds=limits, u0=0.0,
     )  # fmt: skip
 
 

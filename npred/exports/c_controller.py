@@ -24,7 +24,7 @@ PRECISIONS = {"float": np.float32, "double": np.float64}
 COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
-TAKEN = ("state", "D_hat", "time", "parameters", "one")  # what other functions of the header are called by
+TAKEN = ("state", "D_hat", "time", "parameters", "one", "u0")  # what other functions of the header are called by
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
 FLAGS = "reads_commands stores_commands gated offsets watched holds pulls"
@@ -78,7 +78,7 @@ def sources(
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
         "period": f"#define {name.upper()}_DT {controller.dt!r}",
-        "about": "\n".join(f" * {comment(line)}" for line in _about(controller, precision, model)),
+        "about": "\n".join(f" * {comment(line)}" for line in _about(controller, name, precision, model)),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": single(text) if precision == "float" else text,
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
@@ -158,7 +158,9 @@ def _settings(
     settings = controller.settings
     arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}
     start = controller.fresh().memory
-    arrays |= {"u0": controller.u0, "clock": start.clock[:, 0]} if controller.keeps_commands else {}
+    if controller.keeps_commands:
+        limits = np.ravel(controller.loop.input_bounds)
+        arrays |= {"u0": controller.u0, "u0_bounds": limits, "clock": start.clock[:, 0]}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
     values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
     values |= {name: str(int(getattr(settings, name))) for name in f"{FLAGS} {COUNTS}".split()}
@@ -178,19 +180,21 @@ def _settings(
     return "\n".join(lines)
 
 
-def _about(controller: Controller, real: str, model: str) -> list[str]:
+def _about(controller: Controller, name: str, real: str, model: str) -> list[str]:
     """The lines about this controller at the top of both files."""
     plant = controller.plant
     law = "is constant" if controller.adaptation is None else f"moves by {type(controller.adaptation).__name__}"
     units = {name: f"{name} ({unit})" for name, unit in plant.units.items() if unit}
     signals_of = {"X, a sample": controller.outputs, "U": plant.inputs}
     signals_of |= {"States of P": plant.states} if controller.observer else {}
+    u0 = source_lines.values(plant.inputs, controller.u0) if controller.keeps_commands else ""
     return [
         f"Controller for plant {plant.name}, exported by npred {npred.__version__}.",
         *([f"Model: {model}."] if model else []),
         f"The predictor is {controller.predictor.name} on {controller.predictor.nx} nodes. D_hat {law}.",
         f"The control step is {plant.time_text(controller.dt, '')}; D_hat and t have the same unit.",
         f"Numbers are {real}; {source_lines.ranges(plant.inputs, controller.settings.input_bounds)}.",
+        *([f"Before the first step the actuator had {u0}, or what {name}_set_u0 says."] if u0 else []),
         *(f"{what}: {', '.join(units.get(name, name) for name in names)}." for what, names in signals_of.items()),
     ]
 

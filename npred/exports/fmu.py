@@ -333,9 +333,14 @@ def _parameters(controller: Controller) -> Iterator[Variable]:
     plant, predictor, law = controller.plant, controller.predictor, controller.adaptation
     if not plant.declares_delay:
         low, high = c_controller.D_hat_bounds(controller)
-        first, about = (controller.D_hat,), "first estimate of the delay"
-        high = min(high, LARGEST)
-        yield Variable("D_hat0", "fixed", "D_HAT0", first, about, plant.time_unit, low=low, high=high)
+        about, high = "first estimate of the delay", min(high, LARGEST)
+        yield Variable("D_hat0", "fixed", "D_HAT0", (controller.D_hat,), about, plant.time_unit, low=low, high=high)
+    first, about = controller.u0.tolist(), "command that the actuator has had before the first control step"
+    limits = controller.loop.input_bounds.tolist()
+    for name, value, (low, high) in zip(plant.inputs, first, limits, strict=True) if controller.keeps_commands else ():
+        low, high = max(low, -LARGEST), min(high, LARGEST)
+        unit = plant.units.get(name, "")
+        yield Variable(f"u0.{name}", "fixed", "U0", (value,), about, unit, low=low, high=high)
     if law is not None and controller.settings.gamma_dt > 0:
         yield Variable("gamma", "tunable", "GAMMA", (law.gamma,), "gain of the delay law", low=SMALLEST)
     if isinstance(predictor, Guarded):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TypeAlias, TypeGuard
 
 import numpy as np
@@ -106,13 +107,16 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     """u0, the input before t = 0, with its default filled in: numbers (m,), a table (k, m), a function, "equilibrium"
     or "law".
 
-    By default the input is 0 where the limits (m, 2) allow 0 for every input, else that of the equilibrium.
+    By default it is that of the plant's rest, which the first commands then do not disturb; of a plant without one, or
+    whose rest needs an input outside the limits (m, 2), it is 0. Where these do not allow 0 for every input, the target
+    of the law at t = 0 decides.
     Raises ConfigError for other words, a wrong count, values that are not finite or that lie outside the limits.
     """
     if callable(u0):
         return u0
     if u0 is None:
-        u0 = np.zeros(plant.m) if _inside(np.zeros(plant.m), limits) else EQUILIBRIUM
+        zero, held = np.zeros(plant.m), _held(plant)
+        u0 = zero if _inside(zero, limits) and (held is None or not _inside(held, limits)) else EQUILIBRIUM
     if isinstance(u0, str):
         if u0 not in (EQUILIBRIUM, LAW):
             raise ConfigError(unlisted("u0", u0, (EQUILIBRIUM, LAW), "numbers or one of"))
@@ -187,6 +191,15 @@ def sentence(plant: Plant, u0: Given, limits: np.ndarray) -> str:
     return source_lines.values(plant.inputs, value)
 
 
+@lru_cache(maxsize=128)
+def _held(plant: Plant) -> np.ndarray | None:
+    """The input (m,) at the plant's rest; None where it has none."""
+    try:
+        return plant.rest and plant.rest[1]
+    except ConfigError:
+        return None
+
+
 def _is_table(value: object) -> TypeGuard[np.ndarray]:
     return isinstance(value, np.ndarray) and value.ndim == 2
 
@@ -205,7 +218,7 @@ def _accepted(plant: Plant, u: np.ndarray, limits: np.ndarray, which: str) -> np
     if not _inside(u, limits):
         got = f"{which}{source_lines.values(plant.inputs, u)}; give u0, the input at t < 0, within"
         raise ConfigError(f"u0: expected within input_bounds {limits.tolist()}, got {got}")
-    return np.clip(u, *limits.T)
+    return np.clip(u, *limits.T) + 0.0  # no -0.0
 
 
 def _inside(u: np.ndarray, limits: np.ndarray) -> bool:

@@ -64,6 +64,23 @@ SPARE static void npred_set(int count, const volatile npred_real *from, npred_re
     }
 }
 
+#if KEEPS_COMMANDS
+/* Fill the stored commands with U. */
+static void npred_assume(npred_controller *self, const npred_real *U)
+{
+    const npred_real first = (npred_real)(NPRED_ROWS - 1);
+    const Clock clock = clock_of(the_shape, self->saved.clock);
+    for (int row = 0; row < NPRED_ROWS; row++) {
+        for (int i = 0; i < NPRED_M_INPUTS; i++) {
+            self->saved.held[row * NPRED_M_INPUTS + i] = U[i];
+            self->saved.total[row * NPRED_M_INPUTS + i] = (npred_real)row * U[i] - first * U[i];
+        }
+    }
+    copy(NPRED_M_INPUTS, U, clock.sent);
+    copy(NPRED_M_INPUTS, U, clock.before);
+}
+#endif
+
 void npred_init(npred_controller *self)
 {
     memset(self, 0, sizeof *self);
@@ -71,15 +88,6 @@ void npred_init(npred_controller *self)
     self->saved.phi_before[0] = self->error[0] = NAN;
     self->saved.D_hat[0] = (npred_real)NPRED_D_HAT;
     self->saved.t0 = NPRED_T0;
-#if KEEPS_COMMANDS
-    const npred_real first = (npred_real)(NPRED_ROWS - 1);
-    for (int row = 0; row < NPRED_ROWS; row++) {
-        for (int i = 0; i < NPRED_M_INPUTS; i++) {
-            self->saved.held[row * NPRED_M_INPUTS + i] = the_u0[i];
-            self->saved.total[row * NPRED_M_INPUTS + i] = (npred_real)row * the_u0[i] - first * the_u0[i];
-        }
-    }
-#endif
 #if WATCHES
     for (int i = 0; i < NPRED_OBSERVER; i++) {
         self->saved.observer[i] = NAN;
@@ -87,6 +95,7 @@ void npred_init(npred_controller *self)
 #endif
 #if KEEPS_COMMANDS
     npred_set(NPRED_CLOCK, the_clock, self->saved.clock);
+    npred_assume(self, the_u0);
 #endif
 #if READS_COMMANDS
     for (int i = 0; i < NPRED_N_OUTPUTS; i++) {
@@ -276,6 +285,20 @@ static int npred_call(npred_controller *self, double t, double gap, const npred_
 }
 
 #if KEEPS_COMMANDS
+int npred_set_u0(npred_controller *self, const npred_real *U)
+{
+    int fits = all_finite(NPRED_M_INPUTS, U);
+    fits = fits && !(self->saved.clock[CALLS] > 0) && (INDEX)self->saved.clock[AT] == NPRED_ROWS - 2;
+    for (int i = 0; i < NPRED_M_INPUTS; i++) {
+        fits = fits && U[i] >= the_u0_bounds[2 * i] && U[i] <= the_u0_bounds[2 * i + 1];
+    }
+    if (!fits) {
+        return NPRED_STATE_REFUSED;
+    }
+    npred_assume(self, U);
+    return NPRED_OK;
+}
+
 int npred_applied(npred_controller *self, const npred_real *U)
 {
     if (!all_finite(NPRED_M_INPUTS, U)) {

@@ -125,6 +125,9 @@ int npred_set_parameters(npred_controller *self, const npred_real *values);
 #include "setters.h"
 #endif
 #if KEEPS_COMMANDS
+/* Tell the controller, before its first step, which U the actuator has had so far; npred_init assumes the one that is
+ * named above. Returns NPRED_STATE_REFUSED if it is not finite, out of the bounds of U, or too late. */
+int npred_set_u0(npred_controller *self, const npred_real *U);
 /* Tell the controller which U the actuator really got since the last step, if it was not the U that the step gave. */
 int npred_applied(npred_controller *self, const npred_real *U);
 #endif

@@ -215,6 +215,11 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
         self->now.values[AT_D_HAT] = self->now.values[AT_D_HAT0];
     }
 #endif
+#ifdef AT_U0
+    if (self->now.mode != STEPPING) {
+        memcpy(self->now.values + AT_U, self->now.values + AT_U0, NPRED_M_INPUTS * sizeof *self->now.values);
+    }
+#endif
     return OK;
 }
 
@@ -234,8 +239,13 @@ static int exit_initialization(Instance *self)
 #ifdef AT_D_HAT0
     code = code == NPRED_OK ? npred_set_D_hat(&self->controller, (npred_real)self->now.values[AT_D_HAT0]) : code;
 #endif
+#ifdef AT_U0
+    npred_real u0[NPRED_M_INPUTS];
+    copy_in(u0, self->now.values + AT_U0, NPRED_M_INPUTS);
+    code = code == NPRED_OK ? npred_set_u0(&self->controller, u0) : code;
+#endif
     self->now.mode = STEPPING;
-    return code == NPRED_OK ? OK : report(self, ERROR, "start: expected a D_hat0 within its bounds, got another");
+    return code == NPRED_OK ? OK : report(self, ERROR, "start: expected D_hat0 and u0 within their bounds, got others");
 }
 
 static void copy_out(double *to, const npred_real *from, int numbers)

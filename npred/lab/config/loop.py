@@ -80,7 +80,7 @@ class LoopTable(Section):
     bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D
     input_bounds: list[Bounds] | None = None  #: the range of U, a pair per input; by default the plant's
     #: the input before t = 0: numbers, "equilibrium", "law" (κ of the start), or rows over [-D, 0], the oldest first;
-    #: by default 0 if input_bounds allow it, else "equilibrium"
+    #: by default that of the plant's rest, where it has one within input_bounds, else 0
     u0: StartInput | None = None
     #: whether u is measured, or computed from past commands and D_hat
     actuator: Actuator = "measured"

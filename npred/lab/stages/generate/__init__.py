@@ -5,7 +5,7 @@ from typing import Any
 
 from npred.lab.scheduler.declaration import Slices, Stage
 
-STAGE = Stage(__name__, version=4, upstream=(), result_class="npred.lab.config.results:Generated")
+STAGE = Stage(__name__, version=5, upstream=(), result_class="npred.lab.config.results:Generated")
 
 
 def key(slices: Slices) -> dict[str, Any]:
