@@ -12,7 +12,7 @@ STAMPS = (
     "now_at",  # position of the state `now` that the model goes on from
     "base_at",  # position of the state `base` of the last used sample
     "sample_at",  # position of the last used sample
-    "renewed_at",  # position where the filter last restarted
+    "renewed_at",  # position of the first sample, of one that was doubtful, or where the filter last restarted
     "tick",  # position of the last control step that the observer of the delay did
     "lag",  # control steps that it runs behind, the largest age of a sample
     "calls",  # 0 before the first call

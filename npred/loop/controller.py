@@ -15,6 +15,7 @@ from npred.base.errors import ConfigError, DivergedError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import say
 from npred.estimation.delay_law import Adaptation, DelayLaw, Part, part
+from npred.estimation.observers.base import SIGMAS
 from npred.loop import control_step, engine, loop_checks, settable, signals
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
@@ -30,7 +31,6 @@ from npred.prediction.methods import RK4, Predictor
 HELD = "keep the actuator at the last U and pass the next sample"
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
 OLDEST = 20  # control steps, by default the largest age of a sample
-SIGMAS = 6.0  # standard deviations of an estimated output, times `outlier_limit`: beyond them it is not believed
 STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 

@@ -36,9 +36,7 @@ class Loop:
     adaptation: DelayLaw | None = None  #: law of the estimate D_hat, also by name, as a pipeline; None freezes it
     D_hat: Any = None  #: first estimate of the delay, (...)
     input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
-    u0: Any = (
-        None  #: inputs before t = 0, by default the rest's: numbers (m,), "equilibrium", "law", rows (k, m), a function
-    )
+    u0: Any = None  #: inputs before t = 0, by default the rest's: (m,), "equilibrium", "law", rows (k, m), a function
     actuator: Actuator = "measured"  #: "measured": u is; "history": u is read at D_hat from the controller's commands
     observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
     watchdog: Watchdog | None = None  #: gives U if no sample comes

@@ -18,6 +18,7 @@ from npred.plants.base import Plant, require
 from npred.plants.speed import operating_point, rates
 from npred.prediction.delays import problem
 
+SIGMAS = 6.0  # standard deviations of an output, times `outlier_limit`: beyond them a sample is not believed
 POINTS = 64  # places in the box, at which the sizes of f, kappa and the outputs are looked at
 TINY = 1e-9  # relative: what is no more than a rounding error
 FIRST = 0.01  # times the fastest time constant: the first time, after 0, at which outputs over time are looked at

@@ -8,7 +8,7 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.estimation.observers.base import Observer
+from npred.estimation.observers.base import SIGMAS, Observer
 from npred.formulas import Array, Value, programs, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
@@ -17,7 +17,6 @@ from npred.prediction.delays import problem
 from npred.prediction.methods.runge_kutta import RK4
 
 STEP = 0.5  # the longest of RK4, times the fastest pole
-ANY = 1e300  # the variance of an output before its first sample
 
 
 class Luenberger(Observer):
@@ -68,15 +67,14 @@ class Luenberger(Observer):
             raise ConfigError(f"Luenberger: {what}, got outputs that do not; take the EKF")
         self.L = smallest_gain(A, C, self.sizes.dy, self.rate)
         fastest = max(np.abs(np.linalg.eigvals(matrix)).max() for matrix in (A, A - self.L @ C, self.L @ C))
-        self.settings = np.concatenate([[STEP / fastest], self.L.ravel(), self.sizes.dy**2])
+        self.settings = np.concatenate([[STEP / fastest], self.L.ravel(), (self.sizes.dy / SIGMAS) ** 2])
 
     def start(self) -> np.ndarray:
         w = self.measured(self.X0)
-        return np.concatenate([self.X0, np.zeros(self.plant.m), w, np.full(len(w), ANY)])
+        return np.concatenate([self.X0, np.zeros(self.plant.m), w, self.sizes.dy**2])
 
     def anew(self) -> tuple[np.ndarray, np.ndarray]:
         memory, count = self.start(), len(self.outputs)
-        memory[-count:] = self.sizes.dy**2
         return memory, np.concatenate([np.zeros(len(memory) - count), np.ones(count)])
 
     @cached_property

@@ -9,6 +9,7 @@ enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4, ST
 
 #define PAUSE 4.0  /* lengths of the history: after a longer pause the controller expects nothing of the state */
 #define AROUND 6.0 /* half widths of the box: a state that jumps farther is accepted later */
+#define DOUBTFUL 0.5 /* share of the distance at which a sample is refused, beyond which one that is taken may be wrong */
 #define MOST 1e12  /* largest factor by which that grows */
 
 /* What a controller with a history remembers, as npred/loop/clock.py declares it. */
@@ -169,6 +170,7 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     if (to < c.stamp[AT] + since) {
         fill(d.n, NAN, z->expected);
         fill(d.n, NAN, c.base);
+        c.stamp[RENEWED_AT] = NAN;
         fill(s->output_count, NAN, c.refused);
     }
     for (double at = c.stamp[AT], end; at < to; at = end) {
@@ -192,7 +194,8 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
 enum { USED = 1, FAR = 2 };
 
 /* The factor by which a sample may be farther from the expected one if all samples since `first` were refused: 0 for less
- * than D_hat, or for less than a new filter has run, then 1, and ten times as much after each further D_hat. */
+ * than D_hat, or for less than they had been believed since the first or a doubtful one, or since the filter is new; then
+ * 1, and ten times as much after each further D_hat. */
 static inline double believable(Shape d, double first, double taken, const Settings *s, const State *z)
 {
     const double time = (taken - first) * s->dt, lived = (first - clock_of(d, z->clock).stamp[RENEWED_AT]) * s->dt;
@@ -279,6 +282,17 @@ static inline int is_near(Shape d, const Settings *s, const double *Y, double wi
     return near;
 }
 
+/* Whether the sample Y is farther from the model's value X than that share of half the box, and of the smaller of both: by
+ * the larger one a right sample would be too far from a wrong one that was taken, but not the reverse. */
+static inline int is_far(Shape d, const Settings *s, double gate, double share, const double *Y, const double *X)
+{
+    int far = 0;
+    for (int c = 0; c < d.n && gate < INFINITY; c++) {
+        far = far || fabs(Y[c] - X[c]) > share * larger(s->reach[c], gate * smaller(fabs(X[c]), fabs(Y[c])));
+    }
+    return far;
+}
+
 /* Take the sample Y as the state, unless it is too far from the model's value. If samples are refused for a time of D_hat,
  * the next is accepted: the state has jumped. Then the observer of the delay restarts, because its data are from before
  * the jump; it also restarts when the state comes back into the box. */
@@ -287,16 +301,14 @@ static inline int compare_state(Shape d, double taken, double gate, Moment now, 
     const Clock c = clock_of(d, z->clock);
     const double *X = taken < now.at ? c.base : z->expected;
     const double first = isnan(c.refused[0]) ? taken : c.refused[0];
-    const int near = is_near(d, s, z->Y, 1.0);
-    int far = 0, jumped, used;
-    for (int i = 0; i < d.n && gate < INFINITY; i++) {
-        far = far || fabs(z->Y[i] - X[i]) > larger(s->reach[i], gate * fabs(X[i]));
-    }
-    jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z));
-    used = !far || jumped;
+    const int near = is_near(d, s, z->Y, 1.0), far = is_far(d, s, gate, 1.0, z->Y, X);
+    const int jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z)), used = !far || jumped;
     if (jumped || (used && near && c.stamp[STRAY] > 0.0)) {
         c.stamp[STRAY] = near ? 0.0 : 1.0;
         forget_delay(s, z, c);
+    }
+    if (used && is_far(d, s, gate, DOUBTFUL, z->Y, X)) { /* if the next is refused, then this one may be the wrong one */
+        c.stamp[RENEWED_AT] = taken;
     }
     c.refused[0] = used ? NAN : first;
     for (int i = 0; i < d.n; i++) {
@@ -325,6 +337,7 @@ static inline int learn(Shape d, double taken, Moment now, const Parts *q, const
     }
     if (what & USED) {
         c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = taken;
+        c.stamp[RENEWED_AT] = isnan(c.stamp[RENEWED_AT]) ? taken : c.stamp[RENEWED_AT];
     }
     return what & USED;
 }
