@@ -7,6 +7,8 @@ import json
 import numpy as np
 import pytest
 from faulty_sensors import DT, FAULTS, OBSERVERS, PLANTS, Loop, constant, controller, of_one, settling
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 import npred
 from npred.base.errors import DivergedError
@@ -62,6 +64,29 @@ def test_a_state_that_is_measured_is_believed_again_at_once_or_after_the_delay(f
     loop = Loop(controller("van_der_pol", None)).run(1.0).run(FAILS, FAULTS[fault]()).run(1.5)
     assert loop.settled(1.0 + FAILS) <= PLANTS["van_der_pol"][1] + DT / 2
     controller("van_der_pol", None).restore(json.loads(json.dumps(loop.one.state())))
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    name=st.sampled_from(["van_der_pol", "scalar", "chemostat, both"]), kind=st.sampled_from([None, *OBSERVERS]),
+    at=st.integers(0, 60), size=st.floats(np.log(0.2), np.log(12.0)), sign=st.sampled_from([-1, 1]),
+)  # fmt: skip
+@example("van_der_pol", "Luenberger", 100, np.log(5.5), 1)
+@example("chemostat, both", None, 33, np.log(1.43), -1)  # the true ones are farther from it than it from them
+@example("scalar", None, 31, np.log(0.9999), -1)  # it moves away meanwhile
+@example("scalar", "EKF", 0, np.log(4.7), -1)
+def test_one_wrong_sample_at_rest_is_forgotten_within_the_delay(name, kind, at, size, sign):
+    """The first one, which nothing is known of, any later one; and a Luenberger observer refuses half a range."""
+    one = controller(name, kind, watched=False)
+    widths = [np.ptp(one.plant.box[state]) / 2 for state in one.plant.states]
+    push = sign * np.exp(size) * np.array(one.observer.sizes.dy if one.observer else widths)
+    D, loop = one.D_hat, Loop(one).run(at * DT)
+    before = one.status.refused
+    loop.run(DT, lambda k, Y: Y + push)
+    if kind == "Luenberger" and at and np.exp(size) > 1.1:
+        assert one.status.refused == before + 1
+    assert loop.run(2 * D + 1.0).settled(at * DT) <= D + 2 * DT
+    assert one.status.refused <= 2 and one.status.missed == 0
 
 
 def test_a_filter_that_is_lost_begins_anew_and_says_so():

@@ -32,13 +32,14 @@ def pipeline(stage="generate", plant=NAME, **keys):
     return config.parse({"plant": plant, stage: keys}, "tests")
 
 
-def test_the_default_is_zero_where_the_bounds_allow_it_else_the_input_at_rest():
+def test_the_default_is_the_input_at_rest_else_zero_where_the_bounds_allow_it():
     limits = inputs.bounds(SCALAR, None)
     np.testing.assert_array_equal(inputs.before(SCALAR, None, limits, np.zeros((3, 1))), np.zeros((3, 1)))
     held = inputs.before(REACTOR, None, inputs.bounds(REACTOR, None), np.array([[0.5, 340.0], [0.4, 350.0]]))
     np.testing.assert_allclose(held, [[300.0], [300.0]], atol=1e-3)
-    wide = inputs.bounds(REACTOR, [(-1.0, 350.0)])
-    assert inputs.before(REACTOR, None, wide, np.zeros((1, 2))).tolist() == [[0.0]]
+    for bounds, u0 in (((-1.0, 350.0), 300.0), ((-1.0, 250.0), 0.0)):  # a rest out of reach is none
+        found = inputs.before(REACTOR, None, inputs.bounds(REACTOR, [bounds]), np.zeros((1, 2)))
+        np.testing.assert_allclose(found, [[u0]], atol=1e-3)
 
 
 def test_the_law_holds_kappa_of_each_start_within_the_bounds():
@@ -97,7 +98,7 @@ def test_a_reactor_runs_from_its_own_file_and_zero_kelvin_does_not(tmp_path):
     generate.run(made)
     data = Dataset.read(made.folder / "data.h5")
     assert data.u.min() > 249.999 and 330 < data.X[:, 1].min() < data.X[:, 1].max() < 430
-    cold = LOOPS | {"input_bounds": [[-1.0, 350.0]]}
+    cold = LOOPS | {"input_bounds": [[-1.0, 350.0]], "u0": 0.0}
     with pytest.raises(DivergedError, match=r"or set u0, the input before t = 0 \(here Tc = 0\)"):
         generate.run(job(tmp_path, "cold", plant=NAME, generate=cold))
     hot = job(tmp_path, "hot", plant=NAME, generate=LOOPS | {"u0": "law", "t_end": 4.0, "samples": 160})
