@@ -77,18 +77,20 @@ class Controller(InNotebook):
     """U = kappa(P(1)), P from the predictor, and D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 9-14], each dt.
 
     With `actuator="measured"` each step is given u, so D_hat, phi of the last step and the time are all that it
-    remembers; with "history" it remembers its own commands and reads u from them at D_hat. Those before the first step
-    are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of the first
-    X. `D_hat` is the estimate that the next step uses, by default the middle of the
-    adaptation's bounds. Where `input_bounds` leave U free, it is clipped to npred.plants.inputs.widest. Steps equal
-    those of npred.simulate up to rounding, and those of its export in C to the bit. Its memory is not shared, so one
-    controller belongs to one thread; a pickled one goes on where it stood.
+    remembers; with "history" it remembers its own commands and reads u from them at D_hat. Those before the first
+    step are u0, as npred.simulate has it: numbers (m,), a history over [-D_hat, 0], or a word; "law" is kappa of
+    the first X. By default they are those of the plant's rest (npred.plants.inputs.start). `D_hat` is the estimate
+    that the next step uses, by default the middle of the adaptation's bounds. Where `input_bounds` leave U free, it
+    is clipped to npred.plants.inputs.widest. Steps equal those of npred.simulate up to rounding, and those of its
+    export in C to the bit. Its memory is not shared, so one controller belongs to one thread; a pickled one goes on
+    where it stood.
 
-    With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in any
-    state it is farther from X_hat than `outlier_limit` times half the box, or times |X_hat| if that is more. X_hat then
-    takes its place, `missed` counts it, and an observer of the delay goes on without it. If samples are refused for
-    a time of D_hat, X has jumped: the next one is accepted within six half widths of the box's middle, and ten times as
-    far after each further D_hat. `outlier_limit=None` accepts all; so does a state without a box.
+    With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in
+    any state it is farther from X_hat than `outlier_limit` times half the box, or times the smaller of both if that
+    is more. X_hat then takes its place, `missed` counts it, and an observer of the delay goes on without it. If
+    samples are refused for a time of D_hat, or after a doubtful one for longer than it was believed, X has jumped:
+    the next one is accepted within six half widths of the box's middle, and ten times as far after each further
+    D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
     `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.

@@ -48,9 +48,11 @@ def doubting():
     return npred.controller(PLANT, guarded, PAPER, DT, D_hat=2.0, actuator="measured")
 
 
+SEEKING = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
+
+
 def observing():
-    observer = npred.DelayObserver(bounds=(0.2, 2.0), candidates=20)
-    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), observer, DT, D_hat=1.5, actuator="history")
+    return npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), SEEKING, DT, D_hat=1.5, actuator="history")
 
 
 def turning():
@@ -340,6 +342,19 @@ def test_parameters_are_those_of_another_controller(instance, version):
     for x in states(50):
         np.testing.assert_allclose(run.step(x, np.zeros((21, 1))), expected.step(x, np.zeros((21, 1))), rtol=1e-12)
     assert run.get("D_hat") == pytest.approx(expected.D_hat, rel=1e-12)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_it_may_be_told_what_the_actuator_has_had(instance, version):
+    """By default the input at rest; before the first step U is that."""
+    with_u0 = lambda **u0: npred.controller(PLANT, npred.predictor(PLANT, "heun", 21), SEEKING, DT, D_hat=1.5, **u0)
+    for expected, told in ((with_u0(), {}), (with_u0(u0=0.3), {"u0.U": 0.3})):
+        run = instance(observing, version, **told)
+        assert run.get("U") == pytest.approx(float(expected.u0[0]), abs=1e-15)
+        for x in states(50):
+            np.testing.assert_allclose(run.step(x), expected.step(x), rtol=1e-12)
+        with pytest.raises(Exception, match="status 3"):
+            run.set("u0.U", 0.1)  # too late
 
 
 def test_parameters_may_change_while_it_runs_but_not_to_nonsense(instance):
