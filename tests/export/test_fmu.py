@@ -419,7 +419,7 @@ def test_fmpy_simulates_it_from_its_first_values(tmp_path, version):
     result = fmpy.simulate_fmu(str(path), output=["U", "D_hat"])
     expected, u = heun(), np.zeros((21, 1))
     U = [expected.step(X0, u)[0] for _ in range(50)]
-    assert result["U"][0] == 0.0  # u0: the command before the first control step
+    assert result["U"][0] == PLANT.u_equilibrium  # u0: the command before the first control step
     np.testing.assert_allclose(result["U"][1:51], U, rtol=1e-12)
     assert result["D_hat"][0] == 2.0 and result["D_hat"][50] == pytest.approx(expected.D_hat, rel=1e-12)
 
