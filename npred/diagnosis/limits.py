@@ -42,6 +42,6 @@ def _failing(case: Case, dt: float, t_end: float, safety: SafetyFilter | None) -
     later; and those that neither are at the target nor come nearer.
     """
     loops = run(case, case.D, case.X[:LOOPS], t_end, dt, safety=safety)
-    kept, first = (loops.safety >= 0).all(axis=2), int(np.ceil(case.D / dt - 1e-9))  # type: ignore[operator]
+    kept, first = np.all(np.asarray(loops.safety) >= 0, axis=2), int(np.ceil(case.D / dt - 1e-9))
     early = kept[:, 0] & ~kept[:, :first].all(axis=1)
     return early, ~kept[:, first:].all(axis=1), ~fate(case, loops.X, t_end).converges
