@@ -194,7 +194,7 @@ def test_a_control_step_that_is_long_for_the_law_or_the_estimate_is_said_in_one_
     lost = hold.loss(scalar, 0.5)
     assert long == (
         f"npred: dt: 0.5 s: with U held so long, states near rest differ by {lost:.0%} from those of kappa in "
-        "continuous time; take 0.05 or less, unless kappa is designed for held commands"
+        "continuous time; take 0.1 or less, unless kappa is designed for held commands"
     )
     assert said(D=10.0, D_hat=10.0, dt=0.5, t_end=12.0) == []  # once
     (never,) = said(D=2.4, D_hat=2.4, dt=1.2, t_end=4.8)

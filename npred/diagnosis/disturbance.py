@@ -24,9 +24,8 @@ def applies(case: Case) -> bool:
 
 def rejected(case: Case) -> Verdict:
     """The steady offset that a constant disturbance of each input leaves, and whether the EKF takes it away."""
-    plant, span = case.plant, np.ptp(case.limits, axis=1)
-    sizes = SHARE * np.where(np.isfinite(span), span, np.ptp(case.u, axis=0))
-    pushes = np.diag(sizes)[sizes > 0]
+    plant, size_of = case.plant, sizes(case)
+    pushes = np.diag(size_of)[size_of > 0]
     if not len(pushes):
         return "yes", "not tested: the inputs have no range, from which to take the size of a disturbance"
     bare = [_disturbed(case, push) for push in pushes]
@@ -36,9 +35,9 @@ def rejected(case: Case) -> Verdict:
     with np.errstate(invalid="ignore"):
         worst = int(np.argmax(np.nan_to_num(np.abs(offsets / case.width).max(axis=1), nan=np.inf)))
     k = int(np.argmax(pushes[worst]))
-    size = case.amount(plant.inputs[k], sizes[k])
+    size = case.amount(plant.inputs[k], size_of[k])
     text = f"a constant disturbance of {size} at {plant.inputs[k]}, a tenth of its range,"
-    figures: dict[str, Any] = {"disturbance": loops.numbers(plant.inputs, sizes)}
+    figures: dict[str, Any] = {"disturbance": loops.numbers(plant.inputs, size_of)}
     figures["offset"] = loops.numbers(plant.states, offsets[worst])
     if all(each.fate.settled.all() for each in bare):
         return "yes", f"{text} leaves every state within 1 % of half the box", figures
@@ -50,6 +49,12 @@ def rejected(case: Case) -> Verdict:
     cure, seconds = _cure(case, pushes)
     figures["settling_time_with_offset"] = seconds
     return "yes" if cure else "warn", f"{text}{cure}", figures
+
+
+def sizes(case: Case) -> np.ndarray:
+    """The disturbance of each input (m,): a tenth of its range, that of its bounds or of kappa on the box."""
+    span = np.ptp(case.limits, axis=1)
+    return SHARE * np.where(np.isfinite(span), span, np.ptp(case.u, axis=0))
 
 
 def _disturbed(case: Case, push: np.ndarray, **parts: Any) -> Ensemble:
