@@ -74,7 +74,9 @@ def errors() -> None:
                     disturbance=lambda t, push=push: [push], observer=npred.observers.EKF(one, offset=offset),
                 )  # fmt: skip
                 ends.append(run.X[-1, 0] - 1.0)
-            print(f"D = {D:g}, {what:16}: the output ends {ends[0]:+.3f} off, with offset=True {ends[1]:+.1e}", flush=True)
+            print(
+                f"D = {D:g}, {what:16}: the output ends {ends[0]:+.3f} off, with offset=True {ends[1]:+.1e}", flush=True
+            )
 
 
 def integral() -> None:

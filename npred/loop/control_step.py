@@ -1,7 +1,17 @@
 """The control step dt: its default, what it may be, and when it is long for the law or for the estimate of a delay.
 
 U is held over dt. What that costs the loop is a matter of the law's pace (npred.loop.hold), and what the estimate of a
-delay needs is some steps in the delay. TABLE
+delay needs is some steps in the delay. The default was chosen by `python benchmarks/discretisation.py default`: five
+plants, each with a tenth, a third and all of a usual delay, loops with D known against the same with dt / 8, and D_hat
+at the end of loops with DelayObserver from 2 D.
+
+                                    D / 300            default            D / 20
+    largest difference of a state   0.00 to 0.18 %     0.01 to 0.72 %     0.05 to 2.3 %
+    |D_hat / D - 1|                 6e-6 to 1e-3       6e-7 to 4e-4       4e-6 to 4e-4
+    time, ms (a shared core)        45 to 1400         18 to 430          7 to 91
+
+So many steps as D / 300 are not worth their time, for the estimate either. With D / 10 it errs by 1 % at most, with
+D / 5, D / 3 and D / 2 by up to 2, 8 and 20 % where the loop itself stands.
 """
 
 import math
@@ -48,7 +58,9 @@ def usual(D: ArrayLike, plant: Plant | None = None) -> float:
         limit = _shortest(D) / UNKNOWN
     else:
         pace, lost = rates(plant).fastest, hold.per_time(plant)
-        limit = min(_shortest(D) / PER_DELAY, *(most / per for most, per in ((PER_RATE, pace), (LOSS, lost)) if per > 0))
+        limit = min(
+            _shortest(D) / PER_DELAY, *(most / per for most, per in ((PER_RATE, pace), (LOSS, lost)) if per > 0)
+        )
     return simple(limit) if limit < np.inf else limit
 
 

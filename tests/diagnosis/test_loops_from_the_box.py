@@ -231,7 +231,9 @@ def test_a_loop_that_leaves_every_bound_diverges_and_one_that_is_on_its_way_is_n
     case = Case(drift, 0.3, 101, 256)
     pushed = loops.simulated(case, 0.3, np.zeros((1, 1)), disturbance=lambda t: [1.5])
     assert pushed.leaving.all() and not pushed.diverges.any() and pushed.fails.all()
-    T, x = map(float, re.fullmatch(r"all still move away after (\S+) s, x by then as far as (\S+)", pushed.text()).groups())
+    T, x = map(
+        float, re.fullmatch(r"all still move away after (\S+) s, x by then as far as (\S+)", pushed.text()).groups()
+    )
     assert x == pytest.approx(0.5 * T + np.log(1.5) + 0.5, abs=1.5)  # 0.5 faster than the command, once that is -1
 
 

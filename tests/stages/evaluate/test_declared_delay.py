@@ -116,7 +116,8 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
     behaviour.warn_of_overtaken(task.progress, {name: behaviour.overtaken(run) for name, run in each.items()})
     (line,) = task.progress.notes
     assert (
-        "count as far from rest: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
+        "count as far from rest: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t ="
+        in line
     )
 
 

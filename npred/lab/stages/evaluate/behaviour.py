@@ -46,7 +46,9 @@ def warn_of_overtaken(progress: Console, ended: Mapping[PredictorId, Overtaken],
         counts = ", ".join(f"{count} of {predictor_id.label}" for predictor_id, (count, _) in marked.items())
         where = f'in the scenario "{scenario}" ' if scenario else ""
         first = next(iter(marked.values()))[1]
-        progress.warn(f"{where}loops in which commands would overtake each other count as far from rest: {counts}; {first}")
+        progress.warn(
+            f"{where}loops in which commands would overtake each other count as far from rest: {counts}; {first}"
+        )
 
 
 def scores(
