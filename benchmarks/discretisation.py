@@ -182,7 +182,7 @@ CASES = {  # a delay, and a start
 
 
 def _lost(plant, D: float, dt: float, parts: int, **loop) -> float:
-    """sup |X - X_fine| of each state, over the largest distance of X_fine from rest; D known, X_fine with dt / parts."""
+    """sup |X - X_fine| of each state, over the largest distance of X_fine from rest; D known, X_fine by dt / parts."""
     rk4 = npred.predictor(plant, "rk4")
     run, fine = (npred.simulate(plant, rk4, D=D, D_hat=D, dt=dt / k, every=k, **loop) for k in (1, parts))
     count = min(len(run.X), len(fine.X))

@@ -13,8 +13,6 @@ integral: the overshoot of an integral of the error that is a state of the plant
 import sys
 from dataclasses import replace
 
-import numpy as np
-
 import npred
 from npred.diagnosis import pi
 from npred.diagnosis.case import Case
@@ -28,8 +26,8 @@ class Lag:
     states, inputs = ("x",), ("u",)
     parameters = {"T": 1.0, "K": 1.0, "aim": 1.0}
     box, input_bounds = {"x": (0.0, 2.0)}, ((0.0, 4.0),)
-    f = lambda x, u, t, p, M: [(p.K * u.u - x.x) / p.T]
-    setpoint = lambda x, t, p, M: [x.x - p.aim]
+    f = lambda x, u, t, p, M: [(p.K * u.u - x.x) / p.T]  # noqa: E731
+    setpoint = lambda x, t, p, M: [x.x - p.aim]  # noqa: E731
 
 
 class Integral:
@@ -37,7 +35,7 @@ class Integral:
 
     states, inputs = ("x", "xi"), ("u",)
     guess, box = (1.0, 0.0), {"x": (0.0, 2.0), "xi": (-1.0, 1.0)}
-    f = lambda x, u, t, p, M: [u.u - x.x, x.x - 1]
+    f = lambda x, u, t, p, M: [u.u - x.x, x.x - 1]  # noqa: E731
 
 
 def plant(R: float) -> npred.plants.Plant:

@@ -1,7 +1,8 @@
 """The question whether a PI controller would do: it and a Smith predictor are tuned on the plant, and compared.
 
-PI: U = U* + k (e + ∫ e dt / T_i), e = Y* - Y, held over dt; the integral waits while U is at a bound and e would take it
-farther. Smith predictor [Smith 1957]: the same with e - (y(t) - y(t - D)), y the output of the plant linearised at rest.
+PI: U = U* + k (e + ∫ e dt / T_i), e = Y* - Y, held over dt; the integral waits while U is at a bound and e would take
+it farther. Smith predictor [Smith 1957]: the same with e - (y(t) - y(t - D)), y the output of the plant linearised at
+rest.
 All three get the same step of the load or of the set-point, from rest, with a true delay of 0.9, 1 and 1.1 times the
 one that is known. The score is IAE = ∫ |e| dt, the worst of the three delays: it keeps gains from what only an exact
 delay allows. The gains of the rivals are the best of a grid that is refined three times. The predictor has the plant's
@@ -96,7 +97,7 @@ def iae(task: Task, k: np.ndarray, T_i: np.ndarray, smith: bool, D: np.ndarray) 
                 e = e - (y[i % len(y)] - y[(i - known) % len(y)])
             free = rest + k * (e + integral / T_i)
             U = np.clip(free, low, high)
-            integral += np.where((U == free) | (k * e * (free - U) < 0), e * dt, 0.0)
+            integral += np.where((free == U) | (k * e * (free - U) < 0), e * dt, 0.0)
             commands[i % len(commands)] = U
             acting = commands[(i - late) % len(commands), lanes][:, None] + task.push
             f1 = plant.f(X, acting, 0.0)
@@ -120,7 +121,7 @@ def tuned(task: Task, smith: bool) -> Tuned:
     A, B, C = task.linear()
     s = 1j / task.size
     gain = C @ np.linalg.solve(s * np.eye(len(A)) - A, B.astype(complex))
-    unit = 1 / max(abs(gain), 1e-300)
+    unit = float(1 / max(abs(gain), 1e-300))
     ks = unit * np.concatenate([GAINS, -GAINS])
     k, T_i = (each.ravel() for each in np.meshgrid(ks, task.size * TIMES))
     best = Tuned(unit, task.size, np.inf)
@@ -138,7 +139,7 @@ def tuned(task: Task, smith: bool) -> Tuned:
 
 
 def predicted(task: Task, case: Case) -> tuple[float, float]:
-    """The least IAE of the predictor with the plant's kappa, the worst of the delays of OFF, and the `offset` of its EKF.
+    """The least IAE of the predictor with the plant's kappa, the worst of the delays of OFF; the `offset` of its EKF.
 
     That spectral density is the default of `offset=True`, or FASTER times it.
     """

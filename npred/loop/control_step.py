@@ -50,8 +50,8 @@ def simple(number: float) -> float:
 def usual(D: ArrayLike, plant: Plant | None = None) -> float:
     """The control step where none is given, or infinity where neither a delay nor a rate says it.
 
-    Of a plant: 1 / 80 of the shortest delay above 0, at most 0.05 / its fastest rate, and such that the law loses 1 % at
-    most. Without one, as while a pipeline is read, 1 / 300 of that delay. To the nearest of 1, 2 and 5 times a power
+    Of a plant: 1 / 80 of the shortest delay above 0, at most 0.05 / its fastest rate, and such that the law loses 1 %
+    at most. Without one, as while a pipeline is read, 1 / 300 of that delay. To the nearest of 1, 2 and 5 times a power
     of ten, so that it has one digit: 0.01 for a plant of npred with a delay of 1, 0.005 in a pipeline.
     """
     if plant is None:
@@ -72,7 +72,7 @@ def check(name: str, dt: float, D: ArrayLike) -> None:
 
 
 def doubt(name: str, dt: float, D: ArrayLike, plant: Plant, estimated: bool) -> str:
-    """The sentence about a control step that is long for the law, or for delays above 0 that are estimated; else none."""
+    """The sentence about a control step that is long for the law, or for a delay that is estimated; else none."""
     texts, shortest = [], _shortest(D)
     if dt * hold.fastest(plant) >= SHORT and (lost := hold.loss(plant, dt)) > LONG:
         ends = "states near rest do not settle"

@@ -39,7 +39,7 @@ def referee(k, T_i, D, dt, t_end, push, smith=False, known=None):
             e -= model - models[-1 - known]
         free = k * (e + integral / T_i)
         U = min(max(free, -1.0), 3.0)
-        integral += e * dt if U == free or k * e * (free - U) < 0 else 0.0
+        integral += e * dt if free == U or k * e * (free - U) < 0 else 0.0
         sent.append(U)
         x = a * x + (1 - a) * (sent[-1 - late] + push)
         model = a * model + (1 - a) * U

@@ -74,8 +74,8 @@ def summary(result: Certified, width: int | None = None) -> str:
         f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "
         f"confidence of {first.confidence:.4%} at most {first.probability:.2%} of rollouts so sampled have an error of "
         f"U, in its largest component, above ε_κ\n"
-        f"{result.loops} loops, of which {result.far_numerical} end far from rest with the numerical predictor; the guard's "
-        f"tolerance is {first.tolerance:g}"
+        f"{result.loops} loops, of which {result.far_numerical} end far from rest with the numerical predictor; the "
+        f"guard's tolerance is {first.tolerance:g}"
     )
     return f"{about}\n\n{tables.certified(result).terminal(width)}"
 
