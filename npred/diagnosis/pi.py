@@ -37,7 +37,7 @@ WORSE = 1.02  # times the rival's IAE: the predictor is no better
 
 
 @dataclass(frozen=True)
-class Task:
+class StepTask:
     """Steps of the load and of the set-point `aim` at a plant with one input, from rest, and the lengths of time.
 
     `error` is e (…,) of X (…, n) before the step of the set-point.
@@ -69,7 +69,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Tuned:
+class RivalGains:
     """The best gains of a rival, and its IAE; infinite where none keeps the loop."""
 
     k: float
@@ -77,16 +77,16 @@ class Tuned:
     iae: float
 
 
-def iae(task: Task, k: np.ndarray, T_i: np.ndarray, smith: bool, D: np.ndarray) -> np.ndarray:
+def iae(task: StepTask, k: np.ndarray, T_i: np.ndarray, smith: bool, D: np.ndarray) -> np.ndarray:
     """The score of loops (L,) with those gains and true delays."""
     plant, dt, count = task.plant, task.dt, len(k)
-    late, known, steps = np.rint(D / dt).astype(int), round(task.D / dt), round(task.t_end / dt)
+    late, model_late, steps = np.rint(D / dt).astype(int), round(task.D / dt), round(task.t_end / dt)
     A, B, C = task.linear()
     n = len(A)
     ahead = exponential(dt * np.block([[A, B[:, None]], [np.zeros((1, n + 1))]]))[:n]
     X, x = np.tile(plant.equilibrium, (count, 1)), np.zeros((count, n))
     rest, (low, high) = float(plant.u_equilibrium[0]), task.limits[0]
-    commands, y = np.full((max(late.max(), 1) + 1, count), rest), np.zeros((known + 1, count))
+    commands, y = np.full((max(late.max(), 1) + 1, count), rest), np.zeros((model_late + 1, count))
     integral, lanes, errors = np.zeros(count), np.arange(count), np.empty((steps, count))
     with np.errstate(all="ignore"):
         for i in range(steps):
@@ -94,7 +94,7 @@ def iae(task: Task, k: np.ndarray, T_i: np.ndarray, smith: bool, D: np.ndarray) 
             errors[i] = e
             if smith:
                 y[i % len(y)] = x @ C
-                e = e - (y[i % len(y)] - y[(i - known) % len(y)])
+                e = e - (y[i % len(y)] - y[(i - model_late) % len(y)])
             free = rest + k * (e + integral / T_i)
             U = np.clip(free, low, high)
             integral += np.where((free == U) | (k * e * (free - U) < 0), e * dt, 0.0)
@@ -116,7 +116,7 @@ def score(errors: np.ndarray, dt: float) -> np.ndarray:
         return np.where(kept, size.sum(axis=0) * dt, np.inf)
 
 
-def tuned(task: Task, smith: bool) -> Tuned:
+def tuned(task: StepTask, smith: bool) -> RivalGains:
     """The gains with the least IAE, the worst of the delays of OFF, over a grid and its refinements."""
     A, B, C = task.linear()
     s = 1j / task.size
@@ -124,13 +124,13 @@ def tuned(task: Task, smith: bool) -> Tuned:
     unit = float(1 / max(abs(gain), 1e-300))
     ks = unit * np.concatenate([GAINS, -GAINS])
     k, T_i = (each.ravel() for each in np.meshgrid(ks, task.size * TIMES))
-    best = Tuned(unit, task.size, np.inf)
+    best = RivalGains(unit, task.size, np.inf)
     for finer in (*FINER, None):
         lanes = [np.tile(each, len(OFF)) for each in (k, T_i)]
         scores = iae(task, *lanes, smith, np.repeat(OFF * task.D, len(k))).reshape(len(OFF), -1).max(axis=0)
         i = int(np.argmin(scores))
         if scores[i] < best.iae:
-            best = Tuned(float(k[i]), float(T_i[i]), float(scores[i]))
+            best = RivalGains(float(k[i]), float(T_i[i]), float(scores[i]))
         if finer is None or not np.isfinite(best.iae):
             return best
         ways = finer ** np.linspace(-1, 1, WAYS)
@@ -138,12 +138,12 @@ def tuned(task: Task, smith: bool) -> Tuned:
     return best
 
 
-def predicted(task: Task, case: Case) -> tuple[float, float]:
+def predicted(task: StepTask, case: Case) -> tuple[float, float]:
     """The least IAE of the predictor with the plant's kappa, the worst of the delays of OFF; the `offset` of its EKF.
 
     That spectral density is the default of `offset=True`, or FASTER times it.
     """
-    plant, found = task.plant, []
+    plant, tries = task.plant, []
     usual = EKF(plant, offset=True).Q[-1, -1]
     parts: dict[str, Any] = {"disturbance": lambda t: [task.push]} if task.push else {}
     if task.step:
@@ -154,8 +154,8 @@ def predicted(task: Task, case: Case) -> tuple[float, float]:
             observer=EKF(plant, offset=faster * usual), **parts,
         )  # fmt: skip
         worst = score(task.error(run.X[:, :-1]).T + task.step, task.dt).max()
-        found.append((float(worst), float(faster * usual)))
-    return min(found)
+        tries.append((float(worst), float(faster * usual)))
+    return min(tries)
 
 
 def applies(case: Case) -> bool:
@@ -199,7 +199,7 @@ def compared(case: Case) -> Verdict:
     return "yes", text, figures
 
 
-def task_of(case: Case) -> Task | None:
+def task_of(case: Case) -> StepTask | None:
     """The load step of the check; None where the input has no range, or the loop too many steps."""
     plant, D = case.plant, case.D
     sizes = disturbance.sizes(case)
@@ -209,7 +209,9 @@ def task_of(case: Case) -> Task | None:
     dt = max(loops.step(case), t_end / STEPS[0])
     steps = max(round(D / dt), 1)  # whole steps in the delay
     return (
-        Task(plant, error_of(plant), D, float(sizes[0]), D / steps, t_end, case.limits) if steps >= STEPS[1] else None
+        StepTask(plant, error_of(plant), D, float(sizes[0]), D / steps, t_end, case.limits)
+        if steps >= STEPS[1]
+        else None
     )
 
 

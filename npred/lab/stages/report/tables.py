@@ -40,7 +40,7 @@ CERTIFIED = {
     "above": "calls of the search whose error of U is above the tolerance of the guard",
     "unnoticed": "of these, those that the guard lets pass",
     "blind": "calls of a search for inputs that the guard lets pass, with an error above the tolerance",
-    "far": "loops that overflow, or end farther from rest than a fifth of its size, as the numerical predictor's do not",
+    "far": "loops that overflow or end farther from rest than a fifth of its size, and by numerical prediction do not",
     "far_guarded": "the same with the guarded network",
     "fallback": "share of the guarded loops' steps in which the numerical predictor answered",
     "bounded": "share of the worst samples that have a bound",
