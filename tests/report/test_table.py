@@ -13,6 +13,7 @@ from npred import plants
 from npred.lab.config.results import Certified, Evaluated, Trained
 from npred.lab.config.results.base import Result
 from npred.lab.config.results.certify import Certificate
+from npred.lab.config.results.evaluate import Behaviour
 from npred.lab.report.figures.style import power, short
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.stages.report import tables
@@ -168,6 +169,14 @@ def test_each_number_of_a_scenario_is_below_the_head_that_names_it():
         "scenario": "noise", "predictor": "FNO", "radius, median": 1.0, "worst": 2.0, "converged of 4": 3,
         "ends far": 5, "settles after (s)": 4.0, "|D̂ − D| (s)": 6.0, "fallback": 0.7,
     }  # fmt: skip
+
+
+def test_a_result_of_an_earlier_version_is_read():
+    """Loops that end far away were called `diverged`, whether they were bounded or not."""
+    radius = {"median": 1.0, "worst": 2.0, "converged": 0.75, "cases": 4}
+    earlier = {"radius": radius, "settle_time": 4.0, "diverged": 5, "D_error": 6.0}
+    read = Behaviour.of(earlier, "a test")
+    assert read.far == 5 and read.json_object()["far"] == 5 and "diverged" not in read.json_object()
 
 
 CERTIFICATE = numbered(Certificate, bound=[51.0, 52.0, 53.0], ratio=[])
