@@ -1,6 +1,6 @@
 """What control steps, nodes and cell means cost: figures of docs/fidelity.md, docs/predictors.md, docs/real_loop.md, …
 
-    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [delay]
+    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [delay] [default] [exact]
 
 mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
 tracking: where D_hat of a loop that follows sin t ends.
@@ -8,14 +8,19 @@ order: the error of P(1) against SciPy's DOP853, for u that a loop holds and for
 margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
 published: what two digits of docs/reproduce.md are of.
 delay: what loops lose by fewer and fewer control steps in a known delay.
+default: what the default control steps lose, for delays of a tenth, a third and all of a usual one.
+exact: delays of one to three control steps against an exact sampled predictor.
 """
 
 import sys
+import time
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm, solve_discrete_are
 
 import npred
+from npred.loop import control_step, hold
 from npred.plants import Plant
 
 TIGHT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
@@ -170,26 +175,89 @@ def lowest(a: float) -> float:
     return min(rate(z)[1] for z in run.sol(np.linspace(0, 6, 20001)).T)
 
 
+CASES = {  # a delay, and a start
+    "activator_repressor": (1.0, [0.03, 30.0]), "scalar": (1.0, [1.0]), "van_der_pol": (0.5, [1.0, 0.0]),
+    "chemostat": (1.5, [2.0, 2.0]), "cart_pole": (0.2, [0.1, 0.0, 0.1, 0.0]),
+}  # fmt: skip
+
+
+def _lost(plant, D: float, dt: float, parts: int, **loop) -> float:
+    """sup |X - X_fine| of each state, over the largest distance of X_fine from rest; D known, X_fine by dt / parts."""
+    rk4 = npred.predictor(plant, "rk4")
+    run, fine = (npred.simulate(plant, rk4, D=D, D_hat=D, dt=dt / k, every=k, **loop) for k in (1, parts))
+    count = min(len(run.X), len(fine.X))
+    size = np.abs(fine.X - plant.equilibrium).max(axis=0)
+    return float((np.abs(run.X[:count] - fine.X[:count]) / size).max())
+
+
 def delay() -> None:
-    """sup |X - X_fine| of each state, over the largest distance of X_fine from rest, X_fine with D = 3000 dt."""
-    cases = {
-        "activator_repressor": (1.0, [0.03, 30.0], 20.0), "scalar": (1.0, [1.0], 12.0),
-        "van_der_pol": (0.5, [1.0, 0.0], 10.0), "chemostat": (1.5, [2.0, 2.0], 20.0),
-        "cart_pole": (0.2, [0.1, 0.0, 0.1, 0.0], 10.0),
-    }  # fmt: skip
-    for name, (D, X0, t_end) in cases.items():
+    """What a loop loses by fewer and fewer control steps in a known delay, and what npred says of small states."""
+    for name, (D, X0) in CASES.items():
         plant, shown = npred.plant(name), []
-        loop = {"D": D, "D_hat": D, "X0": X0, "t_end": t_end, "actuator": "history"}
-        fine = npred.simulate(plant, npred.predictor(plant, "rk4"), dt=D / 3000, every=10, **loop)
-        size = np.abs(fine.X - plant.equilibrium).max(axis=0)
+        loop = {"X0": X0, "t_end": 20.0 * D, "actuator": "history"}
         for steps in (300, 60, 20, 10, 5, 2, 1):
-            run = npred.simulate(plant, npred.predictor(plant, "rk4"), dt=D / steps, **loop)
-            exact = np.stack([np.interp(run.t, fine.t, x) for x in fine.X.T], axis=-1)
-            shown.append(f"{steps}: {(np.abs(run.X - exact) / size).max():.1%}")
+            lost = _lost(plant, D, D / steps, 3000 // steps, **loop)
+            shown.append(f"{steps}: {lost:.1%} ({hold.loss(plant, D / steps):.1%})")
         print(f"{name}, D / dt = {', '.join(shown)}", flush=True)
 
 
+def default() -> None:
+    """Default control steps beside D / 300 and D / 20: what the loop loses, the error of D_hat at its end, the time."""
+    print("plant                    D      dt  D / dt   loss  |D_hat / D - 1|      ms")
+    for name, (longest, X0) in CASES.items():
+        plant = npred.plant(name)
+        rk4 = npred.predictor(plant, "rk4")
+        for D in (0.1 * longest, 0.3 * longest, longest):
+            for dt in (D / 300, control_step.usual(D, plant), D / 20):
+                loop = {"X0": X0, "t_end": 20 * longest, "dt": dt, "actuator": "history"}
+                lost, law = _lost(plant, D, parts=8, **loop), npred.DelayObserver(bounds=(D / 6, 10 / 3 * D))
+                seconds = []
+                for _ in range(3):
+                    began = time.process_time()
+                    run = npred.simulate(plant, rk4, D=D, D_hat=2 * D, adaptation=law, **loop)
+                    seconds.append(time.process_time() - began)
+                error, ms = abs(run.D_hat[-1] / D - 1), 1e3 * min(seconds)
+                print(f"{name:20} {D:5g} {dt:8.3g} {D / dt:5.0f} {lost:8.2%} {error:10.1e} {ms:14.0f}", flush=True)
+
+
+def exact() -> None:
+    """Delays of 1 to 3 control steps, a linear plant, a law designed for held commands: npred against matrices.
+
+    The referee is x(k + 1) = A_d x(k) + B_d u(k - d), u = -K x(k + d), by SciPy's expm and its discrete LQR.
+    """
+
+    class Cart:
+        """A cart that is pushed: RK4 is exact for commands that are held."""
+
+        states, inputs, box = ("x", "v"), ("u",), {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
+        parameters = {"k1": 0.0, "k2": 0.0}
+        f = lambda x, u, t, p, M: [x.v, u.u]  # noqa: E731
+        kappa = lambda x, t, p, M: [-p.k1 * x.x - p.k2 * x.v]  # noqa: E731
+
+    dt = 1.0
+    step = expm(dt * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
+    A, B = step[:2, :2], step[:2, 2:]
+    S = solve_discrete_are(A, B, np.eye(2), np.eye(1))
+    K = np.linalg.solve(np.eye(1) + B.T @ S @ B, B.T @ S @ A)[0]
+    plant = Plant("cart", Cart, {"k1": K[0], "k2": K[1]})
+    for d in (1, 2, 3):
+        run = npred.simulate(
+            plant, npred.predictor(plant, "rk4", 61), D=d * dt, D_hat=d * dt, X0=[0.5, 0.0], t_end=30.0, dt=dt,
+            actuator="history", u0=[0.0],
+        )  # fmt: skip
+        x, commands = np.array([0.5, 0.0]), [0.0] * d
+        worst = 0.0
+        for X in run.X:
+            worst = max(worst, float(np.abs(X - x).max()))
+            ahead = x
+            for u in commands[-d:]:
+                ahead = A @ ahead + B[:, 0] * u
+            commands.append(float(-K @ ahead))
+            x = A @ x + B[:, 0] * commands[-d - 1]
+        print(f"D = {d} dt: sup |X - exact| = {worst:.1e}, |X| at the end {np.abs(run.X[-1]).max():.1e}", flush=True)
+
+
 if __name__ == "__main__":
-    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published, delay)}
+    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published, delay, default, exact)}
     for name in sys.argv[1:] or parts:
         parts[name]()

@@ -71,7 +71,7 @@ def outcome(plant: Plant, predictor: Predictor, condition: Condition, far: float
     """Which loops are lost, the largest distance from rest, and the share of steps with the numerical predictor."""
     loops = condition.loops(plant, predictor, every=EVERY)
     target = plant.target(loops.t)
-    lost = metrics.diverged(loops, target, far)
+    lost = metrics.far(loops, target, far)
     return lost, float(np.nan_to_num(np.linalg.norm(loops.X - target, axis=-1), nan=np.inf).max()), loops.fallback_share
 
 

@@ -96,7 +96,7 @@ def outcomes(predictor: Predictor, it: Condition, far: float) -> list[Outcome]:
     target = predictor.plant.target(loops.t)
     size = np.linalg.norm(loops.X - target, axis=-1)
     size = np.nan_to_num(size, nan=FAR, posinf=FAR) / max(float(np.abs(target).max()), 1e-9 if target.any() else 1.0)
-    ends = zip(metrics.diverged(loops, target, far), size.max(axis=-1), size[:, -1], strict=True)
+    ends = zip(metrics.far(loops, target, far), size.max(axis=-1), size[:, -1], strict=True)
     return [Outcome(bool(lost), float(peak), float(end)) for lost, peak, end in ends]
 
 

@@ -86,7 +86,7 @@ def outcome(
     nominal = Condition(pipeline.evaluate, X0, D, D_hat, t_end, SEED)
     for i in range(0, len(X0), BATCH):
         loops = nominal.part(slice(i, i + BATCH)).loops(predictor.plant, predictor, every=20)
-        lost.append(metrics.diverged(loops, predictor.plant.target(loops.t), far))
+        lost.append(metrics.far(loops, predictor.plant.target(loops.t), far))
         shares.append(loops.fallback_share)
         print(f"\r{predictor.name}: {i + len(lost[-1])} of {len(X0)} loops", end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)

@@ -34,7 +34,7 @@ AHEAD = 0.1  # s from the agreement to the start
 
 
 def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
-    """Run it and report its log. Raises NpredError if a side ends early, UnmetError if the loop diverges."""
+    """Run it and report its log. Raises NpredError if a side ends early, UnmetError if the loop ends far from rest."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
     channel = Channel(options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed)

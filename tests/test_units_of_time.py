@@ -10,7 +10,7 @@ import npred
 from npred import diagnosis, plants
 from npred.base.errors import ConfigError
 from npred.lab import config
-from npred.loop import control_step
+from npred.loop import control_step, hold
 from npred.plants import speed
 from npred.prediction.delays import problem_of
 
@@ -167,15 +167,17 @@ def test_the_observer_finds_the_delay_of_two_tanks_in_any_unit():
 
 def test_a_control_step_follows_the_delay_and_the_rates():
     assert [control_step.usual(D) for D in (1.0, 1.5, 2.0, 0.3, 30.0)] == [0.005, 0.005, 0.005, 0.001, 0.1]
-    assert control_step.usual([0.0, 3.0, 0.3], 1.0) == 0.001 and control_step.usual(1.0, 23.0) == 0.002
+    assert control_step.usual([0.0, 3.0, 0.3]) == 0.001
+    of_pole = [control_step.usual(D, npred.plant("van_der_pol")) for D in (0.03, 0.3, 3.0)]
+    assert of_pole == [0.0005, 0.005, 0.005]  # of the delay, and of the law
     scalar, loop = npred.plant("scalar"), {"X0": [1.0], "t_end": 1.0}
     rk4 = npred.predictor(scalar, "rk4", 5)
     steps = [npred.simulate(scalar, rk4, D=D, D_hat=D_hat, **loop).t[1] for D, D_hat in ((1, 1), (0, 0.3), (0, 0))]
-    assert steps == pytest.approx([0.005, 0.001, 0.05])
-    assert npred.simulate(scalar, rk4, D=lambda t: 0.3 + t, D_hat=0.3, **loop).t[1] == 0.001
+    assert steps == pytest.approx([0.01, 0.005, 0.05])
+    assert npred.simulate(scalar, rk4, D=lambda t: 0.3 + t, D_hat=0.3, **loop).t[1] == 0.005
 
 
-def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, monkeypatch):
+def test_a_control_step_that_is_long_for_the_law_or_the_estimate_is_said_in_one_line(capsys, monkeypatch):
     monkeypatch.delenv("NPRED_QUIET", raising=False)
     scalar = npred.plant("scalar")
     rk4 = npred.predictor(scalar, "rk4", 5)
@@ -186,12 +188,22 @@ def test_a_control_step_that_is_long_for_the_delay_is_said_in_one_line(capsys, m
 
     npred.simulate(scalar, rk4, X0=[1.0], D=1.0, D_hat=1.0, t_end=1.0)  # compiles
     capsys.readouterr()
-    assert said(D=0.3, D_hat=0.3, dt=0.015, t_end=0.9) == []
-    assert said(D=0.3, D_hat=0.0, dt=0.1, t_end=0.9) == []
-    short = {"D": 0.31, "D_hat": 0.3, "dt": 0.1, "t_end": 0.9}
-    what = "dt: 0.1 s is a step of D / 3.1: the loop is not that of a law in continuous time"
-    assert said(**short) == [f"npred: {what}; take D / 20 or less, 0.0155"]
-    assert said(**short) == []  # once
+    for steps in (1, 2, 3, 20):  # the law of 1 /s has the same loop, whatever the delay
+        assert said(D=0.1 * steps, D_hat=0.1 * steps, dt=0.1, t_end=2.5) == []
+    (long,) = said(D=10.0, D_hat=10.0, dt=0.5, t_end=12.0)
+    lost = hold.loss(scalar, 0.5)
+    assert long == (
+        f"npred: dt: 0.5 s: with U held so long, states near rest differ by {lost:.0%} from those of kappa in "
+        "continuous time; take 0.1 or less, unless kappa is designed for held commands"
+    )
+    assert said(D=10.0, D_hat=10.0, dt=0.5, t_end=12.0) == []  # once
+    (never,) = said(D=2.4, D_hat=2.4, dt=1.2, t_end=4.8)
+    assert "with U held so long, states near rest do not settle" not in never
+    (never,) = said(D=2.5, D_hat=2.5, dt=2.5, t_end=4.8)
+    assert "with U held so long, states near rest do not settle" in never
+    short = {"D": 0.31, "D_hat": 0.3, "dt": 0.1, "t_end": 0.9, "adaptation": npred.DelayObserver(bounds=(0.1, 1.0))}
+    what = "dt: 0.1 s: a delay of 3.1 control steps is estimated to some percent only"
+    assert said(**short) == [f"npred: {what}; take D / 10 or less, 0.031"]
     assert said(D=1.25, D_hat=1.25, t_end=1.0) == [
         "npred: t_end: no command reaches the plant before t_end = 1, with D = 1.25 s"
     ]
@@ -205,8 +217,8 @@ def test_a_controller_says_it_of_the_longest_delay_that_its_law_takes(capsys, mo
     rk4 = npred.predictor(scalar, "rk4", 5)
     npred.controller(scalar, rk4, law, 0.005, actuator="history")
     assert "D / " not in capsys.readouterr().err
-    npred.controller(scalar, rk4, law, 0.01, actuator="history")
-    assert "dt: 0.01 s is a step of D / 13: " in capsys.readouterr().err
+    npred.controller(scalar, rk4, law, 0.02, actuator="history")
+    assert "dt: 0.02 s: a delay of 6.5 control steps is estimated" in capsys.readouterr().err
     with pytest.raises(ConfigError, match=r"dt: expected at most the delay, 0.13, .* got 0.2; shorten the step"):
         npred.controller(scalar, rk4, law, 0.2, actuator="history")
 

@@ -29,7 +29,7 @@ NX = 101  # nodes of a model's file
 COMPARED = 200  # held-out samples
 RECALLS = (
     "the paper's law (12) is made for a measured u; with u from the commands 16 of 30 loops of the paper's plant "
-    'diverge (docs/delay_laws.md), with DelayObserver none; set adaptation = "delay-observer" in [evaluate]'
+    'do not converge (docs/delay_laws.md), with DelayObserver none; set adaptation = "delay-observer" in [evaluate]'
 )
 
 

@@ -1,4 +1,10 @@
-"""Loops of a case: how they end, and their simulation from the box until they settle or are seen not to."""
+"""Loops of a case: how they end, and their simulation from the box until they settle or are seen not to.
+
+A loop *settles* if it stays within HOME of its target. One that does not settle *still converges*, *rests elsewhere*,
+*swings* between the same ends (a limit cycle), *still moves away* at the end of the longest time simulated, or
+*diverges*: it leaves every bound, that is, overflows or is farther than FAR boxes from its target. Only the last word
+says that a loop is not bounded, and it is never said of a loop that is near.
+"""
 
 import math
 from collections.abc import Sequence
@@ -25,7 +31,7 @@ DELAYS = 10  # delays that a loop lasts at least: a stiff plant's would take too
 STEPS, NODES = (10, 50), 41  # control steps in D and nodes of the prediction, at least
 FINE = 20  # control steps in a step of RK4, which are as many as it takes
 WORK = 5e5  # nodes times control steps of a loop, at most
-FAR = 1e3  # times the box: a loop that is so far away diverges
+FAR = 1e6  # times the box: a loop that is so far away diverges: a rest or a swing is nearer, whatever pushes it
 LARGEST = 6  # states up to which a plant is asked without a pipeline: the kernels of larger ones compile for a minute
 
 
@@ -68,9 +74,12 @@ def numbers(names: Sequence[str], values: np.ndarray) -> dict[str, float | None]
     return {name: value if math.isfinite(value) else None for name, value in zip(names, values.tolist(), strict=True)}
 
 
-def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME) -> Fate:
-    """The fate of loops X (B, nt, n) over `seconds`: settled are those within `near` for the last quarter."""
-    gaps = distances(case, X, seconds)
+def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME, target: np.ndarray | None = None) -> Fate:
+    """The fate of loops X (B, nt, n) over `seconds`: settled are those within `near` for the last quarter.
+
+    That is of the plant's target, or of another (n,) that is given.
+    """
+    gaps = distances(case, X, seconds, target)
     _, middle, _, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1))
     outside = ~(gaps <= near)
     last = np.where(outside.any(axis=1), gaps.shape[1] - np.argmax(outside[:, ::-1], axis=1), 0)
@@ -78,9 +87,10 @@ def fate(case: Case, X: np.ndarray, seconds: float, near: float = HOME) -> Fate:
     return Fate(settles, ~(end <= near) & (end < FALLING * middle), ~(FALLING * end <= middle))
 
 
-def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
+def distances(case: Case, X: np.ndarray, seconds: float, target: np.ndarray | None = None) -> np.ndarray:
     """Distances of loops X (B, nt, n) from their target, in widths of the box, (B, nt)."""
-    target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
+    if target is None:
+        target = case.plant.target(np.linspace(0.0, seconds, X.shape[1]))
     with np.errstate(all="ignore"):
         return np.linalg.norm((X - target) / case.width, axis=-1)
 
@@ -152,12 +162,17 @@ class Ensemble:
     @property
     def diverges(self) -> np.ndarray:
         """True (B,) for loops that leave every bound."""
-        return ~self.fate.converges & (self.far | self.fate.growing)
+        return ~self.fate.converges & self.far
+
+    @property
+    def leaving(self) -> np.ndarray:
+        """True (B,) for loops that still move away, and are not far: they may rest, swing or diverge later."""
+        return self.fate.growing & ~(self.fate.converges | self.far)
 
     @property
     def swings(self) -> np.ndarray:
-        """True (B,) for loops that oscillate, and neither come nearer nor leave every bound."""
-        return self.oscillates & ~(self.fate.converges | self.diverges)
+        """True (B,) for loops that oscillate between the same ends."""
+        return self.oscillates & ~(self.fate.converges | self.fate.growing | self.far)
 
     @property
     def still(self) -> np.ndarray:
@@ -167,12 +182,12 @@ class Ensemble:
     @property
     def steady(self) -> np.ndarray:
         """True (B,) for loops that do not settle, and have come to rest elsewhere."""
-        return self.still & (self.looked >= self.enough) & ~(self.fate.converges | self.diverges)
+        return self.still & (self.looked >= self.enough) & ~(self.fate.converges | self.fate.growing)
 
     @property
     def fails(self) -> np.ndarray:
         """True (B,) for loops that were seen not to settle."""
-        return self.swings | self.diverges | self.steady
+        return self.swings | self.diverges | self.steady | self.leaving
 
     @property
     def offset(self) -> np.ndarray:
@@ -199,6 +214,13 @@ class Ensemble:
             i = int(np.argmax((high - low) / self.case.width > HOME))  # the first state that swings
             name = self.case.plant.states[i]
             parts[f"swing, {name} between {low[i]:.3g} and {self.case.amount(name, high[i])}"] = self.swings
+        if self.leaving.any():
+            reach = np.maximum(np.abs(self.last_low), np.abs(self.last_high))[self.leaving].max(axis=0)
+            i = int(np.argmax(reach / self.case.width))
+            name = self.case.plant.states[i]
+            parts[f"still move away after {looked}, {name} by then as far as {self.case.amount(name, reach[i])}"] = (
+                self.leaving
+            )
         if self.steady.any():
             rest = (self.last_low + self.last_high)[np.argmax(self.steady)] / 2
             parts[f"rest elsewhere, as at {self.case.state(rest)}"] = self.steady
@@ -214,6 +236,7 @@ class Ensemble:
             **self.fate.figures,
             "swinging": float(self.swings.mean()),
             "resting_elsewhere": float(self.steady.mean()),
+            "moving_away": float(self.leaving.mean()),
             "diverging": float(self.diverges.mean()),
             "overshoot": numbers(states, self.overshoot),
             "last_low": numbers(states, self.last_low.min(axis=0)),
@@ -229,8 +252,13 @@ def ensemble(case: Case, D_hat: float) -> Ensemble:
     return case.ensembles[D_hat]
 
 
-def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **parts: Any) -> Ensemble:
-    """Loops from X0 (B, n), each longer and longer until it settles, diverges, or neither comes nearer nor grows."""
+def simulated(
+    case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, target: np.ndarray | None = None, **parts: Any
+) -> Ensemble:  # fmt: skip
+    """Loops from X0 (B, n), each longer and longer until it settles, diverges, or neither comes nearer nor grows.
+
+    Fates are about the plant's target, or about another (n,) that is given.
+    """
     plant, dt, lanes, count = case.plant, step(case), np.arange(len(X0)), len(X0)
     fates = Fate(np.full(count, np.inf), np.zeros(count, bool), np.zeros(count, bool))
     looked, oscillates, ends = np.zeros(count), np.zeros(count, bool), np.zeros((5, count, plant.n))
@@ -238,7 +266,7 @@ def simulated(case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, **pa
     t_end = first = min(enough, most / 2)
     while True:
         loops = run(case, D_hat, X0[lanes], t_end, dt, **parts)
-        X, late, now = loops.X, loops.X[:, -(loops.X.shape[1] // 4) :], fate(case, loops.X, loops.t[-1], near)
+        X, late, now = loops.X, loops.X[:, -(loops.X.shape[1] // 4) :], fate(case, loops.X, loops.t[-1], near, target)
         for each, values in zip(fates, now, strict=True):
             each[lanes] = values
         with np.errstate(all="ignore"):

@@ -63,8 +63,8 @@ def simulate(
     D_hat : array (...), in the plant's unit of time, optional
         Estimate of the delay; None for a plant that declares it.
     dt : float, in the plant's unit of time, optional
-        Control step; U is held over it. By default npred.loop.control_step.usual of the delay and of the plant's
-        rates, 0.005 for a delay of 1 or 2.
+        Control step; U is held over it. By default npred.loop.control_step.usual of the delay and the
+        plant, 0.01 for most plants of npred with a delay of 1.
     adaptation : DelayLaw, its name as "delay-observer", or None, optional
         Law of the estimate D_hat; None or "frozen" freezes it.
     every : int, default 1

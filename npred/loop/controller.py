@@ -143,7 +143,7 @@ class Controller(InNotebook):
             longest = D_hat if law is None else law.bounds[1]
             if law is not None:
                 control_step.check("dt", dt, longest)
-            if text := control_step.doubt("dt", dt, longest, plant.time_unit):
+            if text := control_step.doubt("dt", dt, longest, plant, law is not None):
                 say(text)
         self._first_D_hat, self._awaits_X = D_hat, False
         self._take_memory(kernels.memory, D_hat)

@@ -18,7 +18,6 @@ from npred.loop.safety import SafetyFilter
 from npred.loop.timing import ROUNDING, Timing
 from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
-from npred.plants.speed import rates
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method
 
@@ -86,13 +85,13 @@ def stepped(loop: Loop, D: Any, D_hat: Any, t_end: Any) -> Loop:
         return loop
     ends, delays = array_checks.number("t_end", t_end), array_checks.floats("D", D)
     spans = delays if (delays > 0).any() else array_checks.floats("D_hat", D_hat)
-    dt = min(control_step.usual(spans, rates(loop.plant).fastest), ends)
+    dt = min(control_step.usual(spans, loop.plant), ends)
     return replace(loop, dt=dt)
 
 
 def delays(loop: Loop, D: np.ndarray, D_hat: np.ndarray, t_end: float) -> None:
-    """Raise ConfigError for a control step that is longer than a delay which is estimated; say where it is long for one
-    that is predicted over, and where no command of the loop reaches the plant. A declared delay may pass through 0.
+    """Raise ConfigError for a control step that is longer than a delay which is estimated; say where it is long for the
+    estimate or for the law, and where no command of the loop reaches the plant. A declared delay may pass through 0.
     """
     plant = loop.plant
     if loop.predictor is None or plant.declares_delay:
@@ -100,7 +99,7 @@ def delays(loop: Loop, D: np.ndarray, D_hat: np.ndarray, t_end: float) -> None:
     predicted = np.where((D_hat > 0) | (loop.adaptation is not None), D, 0.0)
     if loop.adaptation is not None:
         control_step.check("dt", loop.dt, D)
-    if text := control_step.doubt("dt", loop.dt, predicted, plant.time_unit):
+    if text := control_step.doubt("dt", loop.dt, predicted, plant, loop.adaptation is not None):
         say(text)
     if (late := predicted[predicted > t_end]).size:
         say(f"t_end: no command reaches the plant before t_end = {t_end:g}, with D = {plant.time_text(late.min())}")

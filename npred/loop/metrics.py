@@ -13,7 +13,7 @@ from npred.plants.speed import settled
 
 SETTLED = 0.01  # times size(X*): inside this distance a loop counts as settled, and as converged when it ends there
 ORIGIN = 1e-9  # an equilibrium closer to the origin than this is the origin, found by a solver
-FAR = 0.2  # times size(X*): a loop that ends further away diverges
+FAR = 0.2  # times size(X*): a loop that ends further away counts as far
 TAIL = 0.1  # share of the horizon: the radius is the supremum over this last share
 NEWTON, STEP = 8, 1e-6  # steps of Newton's method, and the half width of its differences, as a share of the delay
 CELLS = 4000  # parts of the horizon, along which the gain of a plant that tracks is integrated
@@ -169,9 +169,11 @@ def converged(radii: ArrayLike, X_star: ArrayLike) -> np.ndarray:
     return np.asarray(radii) <= SETTLED * size(X_star)
 
 
-def diverged(loops: Trajectories, X_star: ArrayLike, far: float = FAR) -> np.ndarray:
-    """True, (...), for a loop that overflows, or ends further from X* than `far` of size(X*)."""
-    return ~(radius(loops, X_star) <= far * size(X_star))
+def far(loops: Trajectories, X_star: ArrayLike, share: float = FAR) -> np.ndarray:
+    """True, (...), for a loop that overflows, or ends further from X* than that share of size(X*): it may swing there,
+    rest elsewhere, or diverge.
+    """
+    return ~(radius(loops, X_star) <= share * size(X_star))
 
 
 @cache

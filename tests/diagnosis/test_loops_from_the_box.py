@@ -7,10 +7,13 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import npred
 from npred import diagnosis
+from npred.base.matrices import exponential
 from npred.cli import app
 from npred.diagnosis import Case, loops
 from npred.plants import Plant
@@ -43,6 +46,28 @@ class Heater:
     box, input_bounds, units = {"T": (20.0, 60.0)}, ((0.0, 2000.0),), {"T": "K", "power": "W"}
     f = lambda x, u, t, p, M: [(u.power - p.loss * (x.T - 20)) / p.capacity]
     kappa = lambda x, t, p, M: [p.loss * (p.aim - 20) - p.gain * (x.T - p.aim)]
+
+
+class Compartments:
+    """A drug that spreads into two compartments, one of which takes five hours; the pump acts late."""
+
+    states, inputs, guess, time_unit = ("c1", "c2", "c3"), ("rate",), (4.0, 4.0, 4.0), "min"
+    parameters = {"aim": 4.0}
+    box = {"c1": (0.0, 8.0), "c2": (0.0, 8.0), "c3": (0.0, 8.0)}
+    f = lambda x, u, t, p, M: [
+        0.112 * (x.c2 - x.c1) + 0.042 * (x.c3 - x.c1) - 0.119 * x.c1 + u.rate / 15.9,
+        0.055 * (x.c1 - x.c2), 0.0033 * (x.c1 - x.c3),
+    ]  # fmt: skip
+    kappa = lambda x, t, p, M: [15.9 * 0.119 * p.aim - 5 * (x.c1 - p.aim)]
+
+
+class Swing:
+    """A damped oscillator whose input is bounded: no command of any loop takes it out of a bound."""
+
+    states, inputs, parameters = ("x", "v"), ("u",), {"damping": 0.1, "gain": 2.0}
+    box, input_bounds = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}, ((-1.0, 1.0),)
+    f = lambda x, u, t, p, M: [x.v, u.u - x.x - p.damping * x.v]
+    kappa = lambda x, t, p, M: [-p.gain * x.v]
 
 
 def line(**parts):
@@ -173,6 +198,43 @@ def test_a_heater_with_a_fan_is_offered_integral_action():
         )  # fmt: skip
         ends.append(abs(run.X[-200:, 0] - 40).max())
     assert ends[0] > 3 and ends[1] < 1
+
+
+def test_a_slow_compartment_is_no_divergence_and_its_rest_is_that_of_the_linear_equations():
+    """The loop creeps to its rest for longer than is simulated: A X + B (U + d) = 0, U = K (e^{AD} X + G U)."""
+    row = answers(Plant("compartments", Compartments), 1.0)["disturbance"]
+    assert "diverge" not in row.text and "moves the rest: c1 " in row.text
+    A = np.array([[-0.273, 0.112, 0.042], [0.055, -0.055, 0.0], [0.0033, 0.0, -0.0033]])
+    B, K = np.array([[1 / 15.9], [0.0], [0.0]]), np.array([[-5.0, 0.0, 0.0]])
+    ahead = exponential(np.block([[A, B], [np.zeros((1, 4))]]))  # D = 1
+    equations = np.block([[A, B], [K @ ahead[:3, :3], K @ ahead[:3, 3:] - 1]])
+    rest = np.linalg.solve(equations, np.append(-B[:, 0] * row.figures["disturbance"]["rate"], 0.0))
+    np.testing.assert_allclose([row.figures["offset"][name] for name in Compartments.states], rest[:3], rtol=1e-6)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(0.02, 1.0), st.floats(0.5, 5.0), st.floats(0.2, 4.0))
+def test_no_loop_is_said_to_diverge_that_no_command_can_take_out_of_a_bound(damping, gain, D):
+    """Whatever delay and gain: it settles, swings, rests elsewhere, or was not looked at for long enough."""
+    found = answers(Plant("swing", Swing, {"damping": damping, "gain": gain}), D)
+    figures = [*found["prediction"].figures.values(), *found["delay margin"].figures["loops"]]
+    shares = [each["diverging"] for each in figures if isinstance(each, dict)]
+    assert len(shares) == 4 and not any(shares)
+    assert not any("diverge" in row.text for row in found.values())
+
+
+def test_a_loop_that_leaves_every_bound_diverges_and_one_that_is_on_its_way_is_not_said_to():
+    """x' = x + u without a predictor, |u| <= 1.5; x' = u with u = -1.5 at most, pushed by more than that."""
+    bare = answers(line(box={"x": (1.6, 2.0)}, input_bounds=((-1.5, 1.5),)), 0.3)["prediction"].figures["without"]
+    assert bare["diverging"] == 1 and bare["moving_away"] == 0
+    drift = line(parameters={"a": 0.0}, input_bounds=((-1.0, 1.0),), kappa=lambda x, t, p, M: [-x.x])
+    case = Case(drift, 0.3, 101, 256)
+    pushed = loops.simulated(case, 0.3, np.zeros((1, 1)), disturbance=lambda t: [1.5])
+    assert pushed.leaving.all() and not pushed.diverges.any() and pushed.fails.all()
+    T, x = map(
+        float, re.fullmatch(r"all still move away after (\S+) s, x by then as far as (\S+)", pushed.text()).groups()
+    )
+    assert x == pytest.approx(0.5 * T + np.log(1.5) + 0.5, abs=1.5)  # 0.5 faster than the command, once that is -1
 
 
 @pytest.mark.parametrize("name", ["transport_tank", "cart_pole"])

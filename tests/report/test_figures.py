@@ -409,9 +409,9 @@ def test_no_line_of_latency_against_error_turns_back_and_every_grid_has_a_mark()
 
 
 def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
-    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "diverged": 1,
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "far": 1,
             "D_error": 0.02}  # fmt: skip
-    wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "diverged": 3, "D_error": None}
+    wild = does | {"radius": does["radius"] | {"worst": None}, "settle_time": None, "far": 3, "D_error": None}
     rows = [("noise", does, does), ("jump", does, wild)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": a, "fno": b}}, "t") for name, a, b in rows]
     figure = figures.scenarios(plants.resolve("scalar"), conditions)
@@ -428,7 +428,7 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
 
 
 def test_a_scenario_far_left_of_the_others_is_an_arrow_that_does_not_squeeze_them():
-    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "diverged": 0,
+    does = {"radius": {"median": 0.1, "worst": 0.2, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "far": 0,
             "D_error": 0.0}  # fmt: skip
     exact = does | {"radius": does["radius"] | {"worst": 1e-12}}
     rows = [("noise 0", exact), ("noise", does)]

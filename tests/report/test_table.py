@@ -13,6 +13,7 @@ from npred import plants
 from npred.lab.config.results import Certified, Evaluated, Trained
 from npred.lab.config.results.base import Result
 from npred.lab.config.results.certify import Certificate
+from npred.lab.config.results.evaluate import Behaviour
 from npred.lab.report.figures.style import power, short
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.stages.report import tables
@@ -98,7 +99,7 @@ def test_ticks_as_people_write_them(value, text):
 
 
 def test_the_table_of_scenarios_has_a_line_a_scenario_and_predictor():
-    does = {"radius": {"median": 0.1, "worst": None, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "diverged": 1,
+    does = {"radius": {"median": 0.1, "worst": None, "converged": 0.5, "cases": 4}, "settle_time": 3.0, "far": 1,
             "D_error": None}  # fmt: skip
     one = {"name": "noise 3 %", "models": {"numerical": does | {"D_error": 0.02}, "fno": does}}
     evaluated = Evaluated.of(result_samples.evaluated({"numerical": result_samples.SCORES}) | {"scenarios": [one]}, "t")
@@ -161,24 +162,32 @@ def test_each_number_of_an_evaluation_is_below_the_head_that_names_it():
 
 def test_each_number_of_a_scenario_is_below_the_head_that_names_it():
     radius = {"median": 1.0, "worst": 2.0, "converged": 0.75, "cases": 4}
-    does = {"radius": radius, "settle_time": 4.0, "diverged": 5, "D_error": 6.0, "fallback": 0.7}
+    does = {"radius": radius, "settle_time": 4.0, "far": 5, "D_error": 6.0, "fallback": 0.7}
     one = {"scenarios": [{"name": "noise", "models": {"fno": does}}]}
     sample = result_samples.evaluated({"numerical": result_samples.SCORES}) | one
     assert last_row(tables.scenarios(plants.resolve("scalar"), Evaluated.of(sample, "a test"))) == {
         "scenario": "noise", "predictor": "FNO", "radius, median": 1.0, "worst": 2.0, "converged of 4": 3,
-        "diverged": 5, "settles after (s)": 4.0, "|D̂ − D| (s)": 6.0, "fallback": 0.7,
+        "ends far": 5, "settles after (s)": 4.0, "|D̂ − D| (s)": 6.0, "fallback": 0.7,
     }  # fmt: skip
+
+
+def test_a_result_of_an_earlier_version_is_read():
+    """Loops that end far away were called `diverged`, whether they were bounded or not."""
+    radius = {"median": 1.0, "worst": 2.0, "converged": 0.75, "cases": 4}
+    earlier = {"radius": radius, "settle_time": 4.0, "diverged": 5, "D_error": 6.0}
+    read = Behaviour.of(earlier, "a test")
+    assert read.far == 5 and read.json_object()["far"] == 5 and "diverged" not in read.json_object()
 
 
 CERTIFICATE = numbered(Certificate, bound=[51.0, 52.0, 53.0], ratio=[])
 CERTIFIED = {"ε_{κ} of all rollouts": "eps_kappa", "median": "median", "adversary": "adversarial",
              "calls above the tolerance": "above", "unnoticed": "unnoticed", "blind spots": "blind",
-             "diverged": "diverged", "guarded": "diverged_guarded", "fallback": "fallback",
+             "ends far": "far", "guarded": "far_guarded", "fallback": "fallback",
              "bounded": "bounded"}  # fmt: skip
 
 
 def test_each_number_of_a_certificate_is_below_the_head_that_names_it():
-    sample = {"plant": "arm", "loops": 9, "diverged_numerical": 8, "models": {"fno": CERTIFICATE}}
+    sample = {"plant": "arm", "loops": 9, "far_numerical": 8, "models": {"fno": CERTIFICATE}}
     table = tables.certified(Certified.of(sample, "a test"))
     expected = {head: CERTIFICATE[key] for head, key in CERTIFIED.items()}
     assert last_row(table) == {"network": "FNO", "bound / error": 52.0} | expected

@@ -122,14 +122,14 @@ def check(
             _require(fit, case)
             what = f"{pipeline.name} fits its plant" + (", by [evaluate] alone" if alone else "")
             answers.append(Answer("pipeline", "yes", what))
-            answers += [_step(plant, *step[:3]) for step in fit.steps]
+            answers += [_step(plant, *step) for step in fit.steps]
         except ConfigError as refusal:
             answers.append(Answer("pipeline", "no", str(refusal)))
     return answers
 
 
-def _step(plant: Plant, name: str, dt: float, D: Any) -> Answer:
-    doubt, least = control_step.doubt(name, dt, D, plant.time_unit), float(np.min(D))
+def _step(plant: Plant, name: str, dt: float, D: Any, adapts: bool) -> Answer:
+    doubt, least = control_step.doubt(name, dt, D, plant, adapts), float(np.min(D))
     steps = f"{plant.time_text(dt)}, {least / dt:.3g} steps in a delay of {plant.time_text(least)}"
     return Answer(name, "warn", doubt) if doubt else Answer(name, "yes", steps)
 
@@ -143,7 +143,7 @@ def require(plant: Plant, pipeline: Pipeline, stages: Collection[str]) -> None:
 def doubts(plant: Plant, pipeline: Pipeline) -> list[str]:
     """Doubts before a run, in words: about control steps, and about the adaptive loop, which takes a simulation."""
     fit = PipelineFit(plant, pipeline)
-    case, long = fit.case(), [control_step.doubt(*step[:3], plant.time_unit) for step in fit.steps]
+    case, long = fit.case(), [control_step.doubt(name, dt, D, plant, adapts) for name, dt, D, adapts in fit.steps]
     answers = [case.ask(question) for question in diagnosis.QUESTIONS if question.name in SIMULATED]
     warned = [answer.text for answer in answers if answer and answer.verdict == "warn" and answer.check == "adaptation"]
     return [*filter(None, long), *warned]

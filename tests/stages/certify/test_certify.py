@@ -57,7 +57,7 @@ def test_a_certificate_of_each_network(certified):
         assert row["rollouts"] == rollouts.count(0.2, 0.9)
         assert 0 < row["median"] <= row["eps_kappa"]
         assert not {"adversarial", "calls", "bound"} & row.keys()
-        assert 0 <= row["diverged_guarded"] <= 5 and 0 <= row["fallback"] <= 1
+        assert 0 <= row["far_guarded"] <= 5 and 0 <= row["fallback"] <= 1
 
 
 def test_the_same_twice(certified):
@@ -123,5 +123,5 @@ def test_loops_are_lost_beside_those_that_numerics_keep():
     bare = replace(bare, X=3 * bare.X)
     guarded = replace(guarded, X=2 * guarded.X, fallbacks=np.array([0, 0, 0, guarded.steps]))
     assert certify._behaviour(npred.plant("scalar"), exact, bare, guarded) == {
-        "diverged": 1, "diverged_guarded": 2, "peak": 3.0, "peak_guarded": 2.0, "fallback": 0.25
+        "far": 1, "far_guarded": 2, "peak": 3.0, "peak_guarded": 2.0, "fallback": 0.25
     }  # fmt: skip

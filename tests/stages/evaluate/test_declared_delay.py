@@ -116,7 +116,8 @@ def test_loops_that_end_are_reported_once(stages, tmp_path):
     behaviour.warn_of_overtaken(task.progress, {name: behaviour.overtaken(run) for name, run in each.items()})
     (line,) = task.progress.notes
     assert (
-        "count as diverged: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t =" in line
+        "count as far from rest: 2 of DeepONet, 2 of FNO; first at control step 20, h = 3, T = 4: 1 - D_X f - D_t ="
+        in line
     )
 
 
@@ -146,10 +147,10 @@ def test_loops_of_a_scenario_that_end_are_reported_with_its_name(tmp_path):
                generate={"D": 1.0}, evaluate={"X0": [0.3], "case_t_end": 20.0, "scenarios": tables})  # fmt: skip
     usual, slow = behaviour.run_scenarios(task, {NUMERICAL: RK4(task.plant, 21)})
     assert [one.models[NUMERICAL].overtaking for one in (usual, slow)] == [0, 2]
-    assert [one.models[NUMERICAL].diverged for one in (usual, slow)] == [0, 2]
+    assert [one.models[NUMERICAL].far for one in (usual, slow)] == [0, 2]
     line = task.progress.notes[-1]
     assert line.startswith(
-        'in the scenario "4 x" loops in which commands would overtake each other count as diverged: 2 of '
+        'in the scenario "4 x" loops in which commands would overtake each other count as far from rest: 2 of '
     )
     assert float(line.partition("D_t = ")[2].partition(",")[0]) <= 0  # of the plant that is simulated
     assert sum("overtake" in note for note in task.progress.notes) == 1

@@ -82,14 +82,14 @@ def test_loops_that_end_far_from_the_models_rest_are_lost(a, lost):
     loops = npred.simulate(plant, RK4(plant, 21), D=0.01, D_hat=0.01, X0=[[0.5], [2.0]], t_end=40.0, truth=truth)
     does = behaviour.behaviour(plant, loops, 0.01)
     assert does.radius.median == pytest.approx(1 / (2 - a) - 1, rel=0.1, abs=1e-6)
-    assert does.diverged == lost and does.D_error == 0 and does.radius.count == (2 if a == 1 else 0)
+    assert does.far == lost and does.D_error == 0 and does.radius.count == (2 if a == 1 else 0)
 
 
 def test_loops_that_diverge_are_lost():
     plant = Plant("held", Held)
     loops = npred.simulate(plant, RK4(plant, 21), D=3.0, D_hat=0.0, X0=[[0.5], [1.0]], t_end=60.0, u0=[-1.0])
     does = behaviour.behaviour(plant, loops, 3.0)
-    assert does.diverged == 1 and does.radius.converged == 0.5 and does.D_error == 3.0
+    assert does.far == 1 and does.radius.converged == 0.5 and does.D_error == 3.0
     assert does.json_object()["radius"]["cases"] == 2
 
 
@@ -97,4 +97,4 @@ def test_what_loops_do_is_medians_over_the_cases():
     loops = known_loops([20, 30, 80, 7, NEVER], [0.001, 0.004, 0.006, 0.003, 1.0])
     does = behaviour.behaviour(npred.plant("scalar"), loops, 0.25)
     assert (does.radius.median, does.radius.worst, does.radius.count) == (0.004, 1.0, 4)
-    assert (does.settle_time, does.diverged, does.D_error) == (30.0, 1, 0.25)  # D_hat is 0 throughout
+    assert (does.settle_time, does.far, does.D_error) == (30.0, 1, 0.25)  # D_hat is 0 throughout

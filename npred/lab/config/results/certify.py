@@ -2,6 +2,8 @@
 
 from typing import Annotated
 
+from pydantic import AliasChoices, Field
+
 from npred.lab.config.results.base import RANKED, Name, Number, Result
 
 
@@ -18,8 +20,10 @@ class Certificate(Result):
     median: Number  #: the median over the rollouts
     tolerance: float  #: the guard's, in units of U
     fallback_rollouts: float  #: share of the rollouts' samples with a numerical answer
-    diverged: int  #: loops that diverge with the network, and do not with the numerical predictor
-    diverged_guarded: int  #: the same for the guarded network
+    #: loops that overflow or end far from rest with the network, and do not with the numerical predictor
+    far: int = Field(validation_alias=AliasChoices("far", "diverged"))
+    #: the same for the guarded network
+    far_guarded: int = Field(validation_alias=AliasChoices("far_guarded", "diverged_guarded"))
     peak: Number  #: largest distance from rest, over the numerical predictor's
     peak_guarded: Number  #: the same for the guarded network
     fallback: float  #: share of the guarded loops' steps with a numerical answer
@@ -45,5 +49,6 @@ class Certified(Result):
 
     plant: str  #: its name
     loops: int  #: loops from fresh starts
-    diverged_numerical: int  #: those of them that diverge with the numerical predictor
+    #: those of them that overflow or end far from rest with the numerical predictor
+    far_numerical: int = Field(validation_alias=AliasChoices("far_numerical", "diverged_numerical"))
     models: Annotated[dict[Name, Certificate], RANKED]  #: by network

@@ -133,7 +133,7 @@ class Behaviour(Result):
     settle_time: Number  #: the median over the cases, in the plant's unit of time
     #: loops that overflow, whose commands overtake each other, or that end farther away than a fifth of the size that
     #: radii are relative to
-    diverged: int
+    far: int = Field(validation_alias=AliasChoices("far", "diverged"))
     overtaking: int = 0  #: those of them whose commands overtake each other
     #: the largest |D̂ − D| over the last tenth and the cases; `null` without an estimate
     D_error: float | None

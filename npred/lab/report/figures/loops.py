@@ -83,7 +83,7 @@ def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
 def _converging(evaluation: EvaluationData) -> list[PredictorId]:
     """The predictors whose loops a panel has to show whole: the numerical one, and all whose loop ends settled.
 
-    A loop that diverges may leave the picture, so that the others can be distinguished.
+    Others may leave the picture, so that the others can be distinguished.
     """
     whole = []
     for predictor, loop in evaluation.loops.items():
@@ -170,11 +170,11 @@ def scenarios(plant: Plant, conditions: Sequence[Conditions]) -> Figure | None:
     if not plant.declares_delay:
         panels.append(_scenario_panel(timed(plant, "|D̂ − D| at the end"), conditions, lambda does: does.D_error, True))
     predictors = list(conditions[0].models)
-    diverged = ", ".join(f"{each.label} {sum(one.models[each].diverged for one in conditions)}" for each in predictors)
+    far = ", ".join(f"{each.label} {sum(one.models[each].far for one in conditions)}" for each in predictors)
     caption = (
         f"The cases again under {len(conditions)} other conditions, each predictor from the same states with the same "
-        "noise. An arrow means that the value is smaller than the axis; a loop that diverges or does not settle has no "
-        f"mark. Loops that diverge: {diverged}."
+        "noise. An arrow means that the value is smaller than the axis; a loop that does not settle has no mark. "
+        f"Loops that overflow, or end farther from rest than a fifth of its size: {far}."
     )
     entries = [LegendEntry(each.label, LineStyle(line_of(each).role, MARK, marker="o")) for each in predictors]
     return Figure("scenarios", "Other conditions", caption, panels, entries)

@@ -60,8 +60,8 @@ def run(job: Job) -> Certified:
         for network, values in errors.items():
             file[network.name] = values
     models = {network: Certificate(**row) for network, row in rows.items()}
-    diverged = int(metrics.diverged(loops, metrics.target(job.plant, loops)).sum())
-    result = Certified(plant=job.plant.name, loops=table.loops, diverged_numerical=diverged, models=models)
+    far = int(metrics.far(loops, metrics.target(job.plant, loops)).sum())
+    result = Certified(plant=job.plant.name, loops=table.loops, far_numerical=far, models=models)
     if plate := figures.certified(job.plant, result, errors):
         figures.write(plate, job.folder)
     return result
@@ -74,8 +74,8 @@ def summary(result: Certified, width: int | None = None) -> str:
         f"{result.plant}: {first.rollouts} fresh rollouts, {first.samples or 'some'} random samples of each: with a "
         f"confidence of {first.confidence:.4%} at most {first.probability:.2%} of rollouts so sampled have an error of "
         f"U, in its largest component, above ε_κ\n"
-        f"{result.loops} loops, of which {result.diverged_numerical} diverge with the numerical predictor; the guard's "
-        f"tolerance is {first.tolerance:g}"
+        f"{result.loops} loops, of which {result.far_numerical} end far from rest with the numerical predictor; the "
+        f"guard's tolerance is {first.tolerance:g}"
     )
     return f"{about}\n\n{tables.certified(result).terminal(width)}"
 
@@ -101,10 +101,10 @@ def _loops(job: Job, predictor: Predictor) -> Trajectories:
 def _behaviour(plant: Plant, loops: Trajectories, bare: Trajectories, guarded: Trajectories) -> dict[str, Any]:
     """A network's loops, bare and guarded, beside those of the numerical predictor."""
     target = metrics.target(plant, loops)
-    numerical, alone, checked = (metrics.diverged(each, target) for each in (loops, bare, guarded))
+    numerical, alone, checked = (metrics.far(each, target) for each in (loops, bare, guarded))
     gaps = (np.linalg.norm(each.X - target, axis=-1) for each in (loops, bare, guarded))
     peak, peak_bare, peak_guarded = (float(gap.max()) if np.isfinite(gap).all() else np.inf for gap in gaps)
     return {
-        "diverged": int((alone & ~numerical).sum()), "diverged_guarded": int((checked & ~numerical).sum()),
+        "far": int((alone & ~numerical).sum()), "far_guarded": int((checked & ~numerical).sum()),
         "peak": peak_bare / peak, "peak_guarded": peak_guarded / peak, "fallback": guarded.fallback_share,
     }  # fmt: skip

@@ -46,7 +46,9 @@ def warn_of_overtaken(progress: Console, ended: Mapping[PredictorId, Overtaken],
         counts = ", ".join(f"{count} of {predictor_id.label}" for predictor_id, (count, _) in marked.items())
         where = f'in the scenario "{scenario}" ' if scenario else ""
         first = next(iter(marked.values()))[1]
-        progress.warn(f"{where}loops in which commands would overtake each other count as diverged: {counts}; {first}")
+        progress.warn(
+            f"{where}loops in which commands would overtake each other count as far from rest: {counts}; {first}"
+        )
 
 
 def scores(
@@ -84,7 +86,7 @@ def behaviour(
     return Behaviour(
         radius=Radii(**_radii(loops, target)),
         settle_time=np.median(metrics.settle_time(loops, target)),
-        diverged=int(metrics.diverged(loops, target).sum()),
+        far=int(metrics.far(loops, target).sum()),
         overtaking=overtaken(loops)[0],
         D_error=D_error,
         fallback=loops.fallback_share if guarded else None,
@@ -180,7 +182,7 @@ def run_scenarios(job: Job, predictors: Mapping[PredictorId, Predictor]) -> list
 
 
 def _quantities(plant: Plant, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray) -> dict[str, np.ndarray]:
-    """The values of each state, each input and the delay estimate, flat, without those of diverged loops."""
+    """The values of each state, each input and the delay estimate, flat, without what overflowed."""
     by_name = {name: X[..., k] for k, name in enumerate(plant.states)}
     by_name |= {name: u[..., k] for k, name in enumerate(plant.inputs)} | {"D_hat": D_hat}
     return {name: values[np.isfinite(values)] for name, values in by_name.items()}

@@ -25,7 +25,7 @@ ABOUT = {
     "worst": "the largest of them",
     "predicted": "the gain times ε_{κ}: the distance that a small constant error of that size brings",
     "radius": "of the loop in the figure above",
-    "diverged": "loops that overflow, or end farther from rest than a fifth of its size",
+    "far": "loops that overflow, or end farther from rest than a fifth of its size",
     "settle_time": "median over the cases",
     "D_error": "largest over the last tenth and the cases",
     "fallback": "share of steps in which the guard let the numerical predictor answer",
@@ -40,8 +40,8 @@ CERTIFIED = {
     "above": "calls of the search whose error of U is above the tolerance of the guard",
     "unnoticed": "of these, those that the guard lets pass",
     "blind": "calls of a search for inputs that the guard lets pass, with an error above the tolerance",
-    "diverged": "loops that diverge with the network, and not with the numerical predictor",
-    "diverged_guarded": "the same with the guarded network",
+    "far": "loops that overflow or end farther from rest than a fifth of its size, and by numerical prediction do not",
+    "far_guarded": "the same with the guarded network",
     "fallback": "share of the guarded loops' steps in which the numerical predictor answered",
     "bounded": "share of the worst samples that have a bound",
 }
@@ -143,7 +143,7 @@ def scenarios(plant: Plant | None, evaluated: Evaluated) -> Table | None:
         Column("predictor", [label for _, label, _ in rows]),
         *_columns([each.radius for each in does], {"median": "radius, median", "worst": "worst"}),
         Column(f"converged of {does[0].radius.cases}", [each.radius.count for each in does], "d"),
-        *_columns(does, {"diverged": "diverged"}, "d"),
+        *_columns(does, {"far": "ends far"}, "d"),
         *_columns(does, {key: timed(plant, head) if plant else head for key, head in times.items()}),
         *_interventions(does),
     ]
@@ -174,7 +174,7 @@ def certified(result: Certified) -> Table:
     """Each network's error of U, and its loops."""
     rows = list(result.models.values())
     heads = {"eps_kappa": "ε_{κ} of all rollouts", "median": "median"}
-    counts = {"diverged": "diverged", "diverged_guarded": "guarded"}
+    counts = {"far": "ends far", "far_guarded": "guarded"}
     if rows[0].adversarial is not None:
         heads["adversarial"] = "adversary"
         counts = {"above": "calls above the tolerance", "unnoticed": "unnoticed", "blind": "blind spots"} | counts

@@ -1,0 +1,88 @@
+"""What a law in continuous time loses because its command is held over a control step.
+
+Over a delay of whole steps the prediction from the held commands is exact, and the loop is the sampled one without
+delay: X((k + 1) dt + D) = e^{A dt} X + ∫ e^{A s} ds B U, U = kappa(X(k dt + D)). So a law that is designed for held
+commands loses nothing, with D = dt either. One that is designed in continuous time, as those of `kappa = "lqr"`, acts
+dt / 2 late in the mean. How much that is depends on dt and the pace of its loop, and not on D.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from npred.base.matrices import exponential
+from npred.plants import speed
+from npred.plants.base import Plant
+
+DIFFERENCE = 1e-6  # half the width of a difference, relative to the box
+LONG = 8.0  # time constants of the slowest rate that are looked at
+MOMENTS = 100  # of them, at most
+SHORT = 1e-2  # a step, times the fastest rate, over which the loss is proportional to the step
+
+
+@cache
+def linearised(plant: Plant) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """f_X (n, n), f_U (n, m) and kappa' (m, n) where the plant works at t = 0, the states in widths of the box; None
+    where a function fails. By differences: at the start of each loop, they take a moment where the formulas take a
+    second.
+    """
+    try:
+        X, u = speed.operating_point(plant)
+        box = np.array([plant.box.get(name, (a - 0.5, a + 0.5)) for name, a in zip(plant.states, X, strict=True)])
+        width = np.where(np.ptp(box, axis=1) > 0, np.ptp(box, axis=1), 1.0)
+        h = DIFFERENCE * np.concatenate([width, np.maximum(np.abs(u), 1.0)])
+        z = np.concatenate([X, u]) + np.concatenate([np.diag(h), -np.diag(h)])
+        with np.errstate(all="ignore"):
+            f, kappa = plant.f(z[:, : plant.n], z[:, plant.n :], 0.0), plant.kappa(z[:, : plant.n], 0.0)
+    except speed.FAILURES:
+        return None
+    by_z, K = ((values[: len(h)] - values[len(h) :]).T / (2 * h) for values in (f, kappa))
+    A, B, K = by_z[:, : plant.n] * width / width[:, None], by_z[:, plant.n :] / width[:, None], K[:, : plant.n] * width
+    return (A, B, K) if all(np.isfinite(each).all() for each in (A, B, K)) else None
+
+
+@cache
+def loss(plant: Plant, dt: float) -> float:
+    """How far small states of the loop with U held over dt are from those of the law in continuous time.
+
+    The largest difference of a state from the box at a control step, over the largest distance of that state. Infinite
+    where the held law does not bring small states to rest; 0 where nothing is known, as where the law itself does not.
+    """
+    matrices = linearised(plant)
+    if matrices is None:
+        return 0.0
+    A, B, K = matrices
+    rates = np.linalg.eigvals(A + B @ K).real
+    if not rates.max() < 0:
+        return 0.0
+    m = B.shape[1]
+    step = exponential(dt * np.block([[A, B], [np.zeros((m, len(A) + m))]]))[: len(A)]
+    held, ideal = step[:, : len(A)] + step[:, len(A) :] @ K, exponential(dt * (A + B @ K))
+    if np.abs(np.linalg.eigvals(held)).max() >= 1:
+        return np.inf
+    steps = max(int(LONG / -rates.max() / dt), 1)
+    each = -(-steps // MOMENTS)
+    powers = [np.linalg.matrix_power(one, each) for one in (held, ideal)]
+    differences, sizes, now = [], [np.ones(len(A))], [np.eye(len(A)), np.eye(len(A))]
+    for _ in range(steps // each):
+        now = [power @ one for power, one in zip(powers, now, strict=True)]
+        differences.append(np.abs(now[0] - now[1]).sum(axis=1))
+        sizes.append(np.abs(now[1]).sum(axis=1))
+    return float((np.max(differences, axis=0) / np.max(sizes, axis=0)).max())
+
+
+@cache
+def per_time(plant: Plant) -> float:
+    """The loss of a short step, over the step, in 1 / time; 0 where it is not known."""
+    dt = SHORT / pace if (pace := fastest(plant)) > 0 else 0.0
+    return loss(plant, dt) / dt if dt > 0 else 0.0
+
+
+@cache
+def fastest(plant: Plant) -> float:
+    """The largest rate of the plant and of the law's loop, in 1 / time; 0 where it is not known."""
+    matrices = linearised(plant)
+    if matrices is None:
+        return 0.0
+    A, B, K = matrices
+    return float(np.abs(np.linalg.eigvals([A, A + B @ K])).max())
