@@ -86,7 +86,7 @@ class Engine:
                 self._functions[name] = callback(one, PARTS[name], fixed | {"p": p}, self._failure)
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
-        filters = settings.filter_count + 2 * settings.output_count
+        filters = settings.filter_count + 3 * settings.output_count + 1
         self._work = np.empty(max(needed, default=0) + 2 * n + 3 * m + settings.observer_count + filters)
         self._arrays = [settings, state, *([out] if out else []), *([events] if events else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
@@ -132,6 +132,6 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     return problem_of(plant).advance(method.step)
 
 
-def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:
+def spread(m: int, law: np.ndarray, memory: np.ndarray) -> float:
     """Half the range of the candidates that an observer of the delay cannot tell apart; NaN at first."""
-    return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, n, m), address(law), address(memory))
+    return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, 0, m), address(law), address(memory))

@@ -102,6 +102,7 @@ SETTINGS = [
     Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
     Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
     *(Signal(name, None, 0, "int") for name in ("gated", "offsets", "watched", "holds")),
+    Signal("judges_outputs", None, 0, "int"),  # whether an observer of the delay gets samples of the outputs
     Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
     Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo

@@ -329,7 +329,7 @@ def after_sample(lasting, recent, D_hat, X=(1.0,), calls=9.0):
 
 def sampled_by(lasting, recent, D_hat, X, calls):
     """The settings, the whole memory and the estimate after such a sample."""
-    count, n, settings = len(lasting), len(X), [len(lasting), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
+    count, n, settings = len(lasting), len(X), [len(lasting), len(X), 0, 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
     assert len(settings) == NUMBERS
     law, sums = (
         np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)]),
@@ -430,5 +430,5 @@ def test_the_spread_is_that_of_the_candidates_between_which_the_estimate_does_no
     """It is narrow exactly where the estimate moves: the errors of the others are four times the best one's."""
     sums = np.array([times] * 3 + [1.0, 1.5, 3.0] + [times] * 2)
     law, memory, estimate = sampled_by(sums, sums / 10, 0.8, (1.0,), 9.0)
-    moves, spread = estimate != 0.8, engine.spread(1, 1, law, memory)
+    moves, spread = estimate != 0.8, engine.spread(1, law, memory)
     assert (moves, spread) == (times > 4, pytest.approx(0.1 if moves else 0.35))

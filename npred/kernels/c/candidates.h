@@ -1,6 +1,7 @@
-/* Which candidate of the delay is the best, by the errors of its observers: K candidates, n states, m inputs. Of each
- * candidate the squared errors are summed with two forgetting times, `lasting` and `recent`. */
-enum { K_AT, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
+/* Which candidate of the delay is the best, by the errors of its observers: K candidates, n numbers that are compared, all
+ * states or the outputs, m inputs. Of each candidate the squared errors are summed with two forgetting times, `lasting`
+ * and `recent`. */
+enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
 #define SMALLEST 1e-12 /* of a state's largest value: errors below it are rounding */
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
@@ -10,7 +11,7 @@ enum { K_AT, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the
 
 /* What is remembered, lanes innermost. `gap` is the control steps since the last sample, `calls` those up to it. */
 typedef struct {
-    int K;
+    int K, n;
     double *x, *push, *lasting, *recent; /* (K, n), (K, m), (K, n), (K, n) */
     double *floor, *level, *scale;       /* (n) */
     double *calls, *pace, *gap;
@@ -18,9 +19,9 @@ typedef struct {
 
 static inline Bank bank(Shape d, const double *law, double *memory)
 {
-    const int K = (int)law[K_AT];
-    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes, inputs = (ptrdiff_t)d.m * d.lanes;
-    Bank b = {.K = K, .x = memory};
+    const int K = (int)law[K_AT], n = (int)law[COMPARED];
+    const ptrdiff_t states = (ptrdiff_t)n * d.lanes, inputs = (ptrdiff_t)d.m * d.lanes;
+    Bank b = {.K = K, .n = n, .x = memory + (ptrdiff_t)law[FIRST] * d.lanes};
     b.push = b.x + K * states;
     b.lasting = b.push + K * inputs;
     b.recent = b.lasting + K * states;
@@ -36,7 +37,7 @@ static inline Bank bank(Shape d, const double *law, double *memory)
 /* Start every observer at X, without errors. */
 static inline void begin_bank(Shape d, const Bank *b, const double *X)
 {
-    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes;
+    const ptrdiff_t states = (ptrdiff_t)b->n * d.lanes;
     for (double *number = b->x; number < b->gap + d.lanes; number++) {
         *number = 0.0;
     }
@@ -89,15 +90,15 @@ static inline void gains(Shape d, const Bank *b, int l, double X, double dt, con
 }
 
 /* The cost (K) of the candidates in a lane, their sums over a unit; the best candidate, and the largest cost. */
-static inline int compare(Shape d, int K, const double *sums, const double *unit, double *cost, double *largest)
+static inline int compare(Shape d, const Bank *b, const double *sums, const double *unit, double *cost, double *largest)
 {
     int best = 0;
     double lowest = INFINITY;
     *largest = 0.0;
-    for (int i = 0; i < K; i++) {
+    for (int i = 0; i < b->K; i++) {
         cost[i] = 0.0;
-        for (int c = 0; c < d.n; c++) {
-            cost[i] += sums[((ptrdiff_t)i * d.n + c) * d.lanes] / unit[c * d.lanes];
+        for (int c = 0; c < b->n; c++) {
+            cost[i] += sums[((ptrdiff_t)i * b->n + c) * d.lanes] / unit[c * d.lanes];
         }
         *largest = larger(*largest, cost[i]);
         if (cost[i] < lowest) {
@@ -130,8 +131,8 @@ static inline double parabola(int K, const double *cost, int best, const double 
  * delay the errors of all candidates are large, before those of the right one are small again. */
 static inline void weigh(Shape d, const Bank *b, int l, const double *X, int first, double leak)
 {
-    const ptrdiff_t states = (ptrdiff_t)d.n * d.lanes;
-    for (int c = 0; c < d.n; c++) {
+    const ptrdiff_t states = (ptrdiff_t)b->n * d.lanes;
+    for (int c = 0; c < b->n; c++) {
         const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
         double lasting = INFINITY, error = INFINITY;
         b->scale[a] = larger(b->scale[a], fabs(X[a]));
@@ -165,21 +166,21 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     }
     weigh(d, b, l, X, first, leak);
     k = least(most((int)rint((D_hat[l] - thetas[0]) / spacing), 0), K - 1);
-    best = compare(d, K, b->recent + l, b->level + l, cost, &window);
+    best = compare(d, b, b->recent + l, b->level + l, cost, &window);
     for (int i = most(k - 1, 0); i < least(k + 2, K); i++) {
         near = smaller(near, cost[i]);
     }
-    risen = near > RISES * larger(cost[best], (double)d.n);
-    compare(d, K, b->lasting + l, b->level + l, cost, &memory);
+    risen = near > RISES * larger(cost[best], (double)b->n);
+    compare(d, b, b->lasting + l, b->level + l, cost, &memory);
     ratio = (1.0 - fade) / leak * window / memory;
     b->pace[l] = PACE * ratio < 1.0 ? PACE * ratio : 1.0; /* and where neither tells anything */
     if (risen && DIFFER * ratio > 1.0 && !first) {
-        for (int a = 0; a < K * d.n; a++) {
+        for (int a = 0; a < K * b->n; a++) {
             b->lasting[(ptrdiff_t)a * d.lanes + l] = b->recent[(ptrdiff_t)a * d.lanes + l];
         }
         weigh(d, b, l, X, first, 0.0);
     }
-    best = compare(d, K, b->lasting + l, b->floor + l, cost, &largest);
+    best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
     if (largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
@@ -197,8 +198,8 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory)
     for (int pass = 0; pass < 2; pass++) {
         for (int i = 0; i < b.K; i++) {
             double cost = 0.0;
-            for (int c = 0; c < d.n; c++) {
-                cost += b.lasting[i * d.n + c] / b.floor[c];
+            for (int c = 0; c < b.n; c++) {
+                cost += b.lasting[i * b.n + c] / b.floor[c];
             }
             lowest = smaller(lowest, cost);
             if (pass == 1 && cost <= DIFFER * lowest) {
