@@ -3,6 +3,7 @@
  * and `recent`. */
 enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
 #define SMALLEST 1e-12 /* of a state's largest value: errors below it are rounding */
+#define EVIDENCE 16.0  /* the same of candidates that are judged by outputs, in variances of what noise makes of it */
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
 #define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */
@@ -11,24 +12,28 @@ enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUM
 
 /* What is remembered, lanes innermost. `gap` is the control steps since the last sample, `calls` those up to it. */
 typedef struct {
-    int K, n;
+    int K, n, judges;
     double *x, *push, *lasting, *recent; /* (K, n), (K, m), (K, n), (K, n) */
     double *floor, *level, *scale;       /* (n) */
-    double *calls, *pace, *gap;
+    double *slow, *swing; /* (n) of the best candidate: its error without what is fast, and the sum of the squares of that */
+    double *told, *calls, *pace, *gap;
 } Bank;
 
 static inline Bank bank(Shape d, const double *law, double *memory)
 {
     const int K = (int)law[K_AT], n = (int)law[COMPARED];
     const ptrdiff_t states = (ptrdiff_t)n * d.lanes, inputs = (ptrdiff_t)d.m * d.lanes;
-    Bank b = {.K = K, .n = n, .x = memory + (ptrdiff_t)law[FIRST] * d.lanes};
+    Bank b = {.K = K, .n = n, .judges = law[FIRST] > 0.0, .x = memory + (ptrdiff_t)law[FIRST] * d.lanes};
     b.push = b.x + K * states;
     b.lasting = b.push + K * inputs;
     b.recent = b.lasting + K * states;
     b.floor = b.recent + K * states;
     b.level = b.floor + states;
     b.scale = b.level + states;
-    b.calls = b.scale + states;
+    b.slow = b.scale + states;
+    b.swing = b.slow + states;
+    b.told = b.swing + states;
+    b.calls = b.told + d.lanes;
     b.pace = b.calls + d.lanes;
     b.gap = b.pace + d.lanes;
     return b;
@@ -149,6 +154,19 @@ static inline void weigh(Shape d, const Bank *b, int l, const double *X, int fir
     }
 }
 
+/* How many independent samples the memory holds: their number over what the errors of the best candidate, where they are
+ * not white, make of the variance of a mean. */
+static inline double independent(Shape d, const Bank *b, int l, double fade, int best)
+{
+    double excess = 1.0;
+    for (int c = 0; c < b->n; c++) {
+        const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
+        const double white = (1.0 - fade) / (1.0 + fade) * b->lasting[(ptrdiff_t)best * b->n * d.lanes + a];
+        excess = larger(excess, b->swing[a] / (white + 1e-300));
+    }
+    return b->told[l] / excess;
+}
+
 /* Move the estimate of lane l to the best candidate, where the candidates differ.
  *
  * What the errors tell is the largest cost. Where the window tells far less than the memory, the pace of the memory is
@@ -159,7 +177,7 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     const double *thetas = law + NUMBERS + b->K * d.m, spacing = thetas[1] - thetas[0];
     const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l];
     const int first = b->calls[l] <= law[PATIENCE], K = b->K;
-    double window, memory, largest, near = INFINITY, ratio;
+    double window, memory, largest, near = INFINITY, ratio, least_window, least_memory;
     int best, k, risen;
     if (isnan(X[l])) {
         return;
@@ -167,12 +185,14 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     weigh(d, b, l, X, first, leak);
     k = least(most((int)rint((D_hat[l] - thetas[0]) / spacing), 0), K - 1);
     best = compare(d, b, b->recent + l, b->level + l, cost, &window);
+    least_window = b->judges ? cost[best] : 0.0;
     for (int i = most(k - 1, 0); i < least(k + 2, K); i++) {
         near = smaller(near, cost[i]);
     }
     risen = near > RISES * larger(cost[best], (double)b->n);
-    compare(d, b, b->lasting + l, b->level + l, cost, &memory);
-    ratio = (1.0 - fade) / leak * window / memory;
+    k = compare(d, b, b->lasting + l, b->level + l, cost, &memory);
+    least_memory = b->judges ? cost[k] : 0.0;
+    ratio = (1.0 - fade) / leak * (window - least_window) / (memory - least_memory);
     b->pace[l] = PACE * ratio < 1.0 ? PACE * ratio : 1.0; /* and where neither tells anything */
     if (risen && DIFFER * ratio > 1.0 && !first) {
         for (int a = 0; a < K * b->n; a++) {
@@ -181,7 +201,7 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
         weigh(d, b, l, X, first, 0.0);
     }
     best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
-    if (largest > DIFFER * cost[best]) {
+    if (b->judges ? (largest - cost[best]) * independent(d, b, l, fade, best) > EVIDENCE : largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
 }
