@@ -35,10 +35,10 @@ def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
         "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
         "run_clocked": ([INDEX, INDEX, INDEX, *(POINTER,) * 7], None),
         "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
-        "spread": ([POINTER, POINTER], real),
+        "spreads": ([POINTER, POINTER, POINTER], None),
         "replaced": ([POINTER, POINTER], None),
     }
-    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spread", "replaced"]}
+    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spreads", "replaced"]}
     for name in names[files]:
         function = getattr(library, name)
         function.argtypes, function.restype = [Shape, *signatures[name][0]], signatures[name][1]
@@ -132,6 +132,8 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     return problem_of(plant).advance(method.step)
 
 
-def spread(m: int, law: np.ndarray, memory: np.ndarray) -> float:
-    """Half the range of the candidates that an observer of the delay cannot tell apart; NaN at first."""
-    return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, 0, m), address(law), address(memory))
+def spreads(m: int, law: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    """Half the range of the candidates that an observer of the delay cannot tell apart, (B,); NaN at first."""
+    out = np.empty(memory.shape[1])
+    loaded(ON_A_PLANT).spreads(Shape(0, len(out), 0, 0, m), address(law), address(memory), address(out))
+    return out

@@ -430,5 +430,5 @@ def test_the_spread_is_that_of_the_candidates_between_which_the_estimate_does_no
     """It is narrow exactly where the estimate moves: the errors of the others are four times the best one's."""
     sums = np.array([times] * 3 + [1.0, 1.5, 3.0] + [times] * 2)
     law, memory, estimate = sampled_by(sums, sums / 10, 0.8, (1.0,), 9.0)
-    moves, spread = estimate != 0.8, engine.spread(1, law, memory)
+    moves, spread = estimate != 0.8, engine.spreads(1, law, memory[:, None])[0]
     assert (moves, spread) == (times > 4, pytest.approx(0.1 if moves else 0.35))

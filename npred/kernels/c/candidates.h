@@ -206,20 +206,21 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     }
 }
 
-/* Half the range of the candidates that the errors do not tell apart from the best one, NaN before the first sample. */
-SPARE static inline double undecided(Shape d, const double *law, double *memory)
+/* Half the range of the candidates of lane l that the errors do not tell apart from the best one, NaN before the first
+ * sample. */
+SPARE static inline double undecided(Shape d, const double *law, double *memory, int l)
 {
     const Bank b = bank(d, law, memory);
     const double *thetas = law + NUMBERS + b.K * d.m;
     double lowest = INFINITY, low = INFINITY, high = -INFINITY;
-    if (isnan(b.gap[0])) {
+    if (isnan(b.gap[l])) {
         return NAN;
     }
     for (int pass = 0; pass < 2; pass++) {
         for (int i = 0; i < b.K; i++) {
             double cost = 0.0;
             for (int c = 0; c < b.n; c++) {
-                cost += b.lasting[i * b.n + c] / b.floor[c];
+                cost += b.lasting[((ptrdiff_t)i * b.n + c) * d.lanes + l] / b.floor[c * d.lanes + l];
             }
             lowest = smaller(lowest, cost);
             if (pass == 1 && cost <= DIFFER * lowest) {
