@@ -145,7 +145,7 @@ class DelayObserver(DelayLaw):
             kernel, compared, tail = _judging(of, count), len(of.outputs), (*of.settings, *of.start())
             first = count * (n + m) + len(of.start()) + of.size * compared
         settings = [count, compared, first, *follow, leak, fade, 2 * window / dt, *self.bounds]
-        size = first + count * (3 * compared + m) + 5 * compared + 4  # numbers of the struct Bank, and those before it
+        size = first + count * (3 * compared + m) + 5 * compared + 6  # numbers of the struct Bank, and those before it
         return kernel, np.array([*settings, *shifts, *thetas, *tail], dtype=float), size
 
 

@@ -305,7 +305,7 @@ class Controller(InNotebook):
         z, clock, m = self.memory, self._clock, self.plant.m
         age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
         if self._watches:
-            spread = float(engine.spreads(m, self.settings.law, z.observer)[0])
+            spread = float(engine.spreads(m, self.settings.law, z.observer, z.D_hat)[0])
         offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
         return Status(
             D_hat=self.D_hat, D_hat_spread=spread, age=math.inf if math.isnan(age) else age,

@@ -35,7 +35,7 @@ def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
         "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
         "run_clocked": ([INDEX, INDEX, INDEX, *(POINTER,) * 7], None),
         "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
-        "spreads": ([POINTER, POINTER, POINTER], None),
+        "spreads": ([POINTER] * 4, None),
         "replaced": ([POINTER, POINTER], None),
     }
     names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spreads", "replaced"]}
@@ -132,8 +132,8 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     return problem_of(plant).advance(method.step)
 
 
-def spreads(m: int, law: np.ndarray, memory: np.ndarray) -> np.ndarray:
+def spreads(m: int, law: np.ndarray, memory: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
     """Half the range of the candidates that an observer of the delay cannot tell apart, (B,); NaN at first."""
     out = np.empty(memory.shape[1])
-    loaded(ON_A_PLANT).spreads(Shape(0, len(out), 0, 0, m), address(law), address(memory), address(out))
+    loaded(ON_A_PLANT).spreads(Shape(0, len(out), 0, 0, m), address(law), address(memory), address(D_hat), address(out))
     return out

@@ -119,7 +119,7 @@ class Simulation:
             if progress:
                 progress((stop - start) * lanes)
         if self.law.memory > 1:
-            out.D_hat_spread[:] = engine.spreads(self.loop.plant.m, settings.law, state.observer)
+            out.D_hat_spread[:] = engine.spreads(self.loop.plant.m, settings.law, state.observer, state.D_hat)
         return out
 
     @property

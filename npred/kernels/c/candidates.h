@@ -6,6 +6,8 @@ enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUM
 #define EVIDENCE 16.0  /* the same of candidates that are judged by outputs, in variances of what noise makes of it */
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
+#define PLAUSIBLE 4.0  /* such a difference, of two deviations, from which on a candidate is not taken for the best */
+#define STALE 20.0     /* lengths of the memory, after which what it was told is too old to tell the delay */
 #define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */
 #define FEW 20.0       /* samples that the window has at least: where they come more rarely, it and the memory are longer */
 #define TIED 1.0001    /* costs this close to the smallest are as good */
@@ -16,7 +18,9 @@ typedef struct {
     double *x, *push, *lasting, *recent; /* (K, n), (K, m), (K, n), (K, n) */
     double *floor, *level, *scale;       /* (n) */
     double *slow, *swing; /* (n) of the best candidate: its error without what is fast, and the sum of the squares of that */
-    double *told, *calls, *pace, *gap;
+    double *told, *white; /* samples in the memory, and what is slow of the power of white noise */
+    double *age;          /* control steps since the memory was told what it knows */
+    double *calls, *pace, *gap;
 } Bank;
 
 static inline Bank bank(Shape d, const double *law, double *memory)
@@ -33,7 +37,9 @@ static inline Bank bank(Shape d, const double *law, double *memory)
     b.slow = b.scale + states;
     b.swing = b.slow + states;
     b.told = b.swing + states;
-    b.calls = b.told + d.lanes;
+    b.white = b.told + d.lanes;
+    b.age = b.white + d.lanes;
+    b.calls = b.age + d.lanes;
     b.pace = b.calls + d.lanes;
     b.gap = b.pace + d.lanes;
     return b;
@@ -69,6 +75,7 @@ static inline void gains(Shape d, const Bank *b, int l, double X, double dt, con
     const int lanes = d.lanes;
     double counted;
     b->gap[l] += 1.0;
+    b->age[l] += 1.0;
     if (isnan(X)) {
         gain[l] = gain[lanes + l] = gain[2 * lanes + l] = 0.0;
         gain[3 * lanes + l] = 1.0;
@@ -94,6 +101,16 @@ static inline void gains(Shape d, const Bank *b, int l, double X, double dt, con
     b->gap[l] = 0.0;
 }
 
+/* The cost of candidate i in a lane. */
+static inline double cost_of(Shape d, const Bank *b, const double *sums, const double *unit, int i)
+{
+    double cost = 0.0;
+    for (int c = 0; c < b->n; c++) {
+        cost += sums[((ptrdiff_t)i * b->n + c) * d.lanes] / unit[c * d.lanes];
+    }
+    return cost;
+}
+
 /* The cost (K) of the candidates in a lane, their sums over a unit; the best candidate, and the largest cost. */
 static inline int compare(Shape d, const Bank *b, const double *sums, const double *unit, double *cost, double *largest)
 {
@@ -101,10 +118,7 @@ static inline int compare(Shape d, const Bank *b, const double *sums, const doub
     double lowest = INFINITY;
     *largest = 0.0;
     for (int i = 0; i < b->K; i++) {
-        cost[i] = 0.0;
-        for (int c = 0; c < b->n; c++) {
-            cost[i] += sums[((ptrdiff_t)i * b->n + c) * d.lanes] / unit[c * d.lanes];
-        }
+        cost[i] = cost_of(d, b, sums, unit, i);
         *largest = larger(*largest, cost[i]);
         if (cost[i] < lowest) {
             best = i;
@@ -156,15 +170,30 @@ static inline void weigh(Shape d, const Bank *b, int l, const double *X, int fir
 
 /* How many independent samples the memory holds: their number over what the errors of the best candidate, where they are
  * not white, make of the variance of a mean. */
-static inline double independent(Shape d, const Bank *b, int l, double fade, int best)
+SPARE static inline double independent(Shape d, const Bank *b, int l, int best)
 {
     double excess = 1.0;
     for (int c = 0; c < b->n; c++) {
         const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
-        const double white = (1.0 - fade) / (1.0 + fade) * b->lasting[(ptrdiff_t)best * b->n * d.lanes + a];
-        excess = larger(excess, b->swing[a] / (white + 1e-300));
+        const double sum = b->lasting[(ptrdiff_t)best * b->n * d.lanes + a];
+        excess = larger(excess, b->swing[a] / (b->white[l] * sum + 1e-300));
     }
     return b->told[l] / excess;
+}
+
+/* Take down what the last sample says of lane l's noise, by the best candidate. */
+static inline void listen(Shape d, const Bank *b, int l, const double *X, const double *gain, int best)
+{
+    const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l], left = 1.0 - gain[l];
+    for (int c = 0; c < b->n; c++) {
+        const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
+        const double moved = X[a] - b->x[(ptrdiff_t)best * b->n * d.lanes + a], e = left > 0.0 ? moved / left : 0.0;
+        b->slow[a] += (1.0 - fade) * ((isnan(e) ? 0.0 : e) - b->slow[a]);
+        b->swing[a] += b->pace[l] * (b->slow[a] * b->slow[a] - leak * b->swing[a]);
+    }
+    b->white[l] = (1.0 - fade) / (1.0 + fade);
+    b->told[l] += b->pace[l] * (1.0 - leak * b->told[l]);
+    b->age[l] -= b->pace[l] * leak * b->age[l];
 }
 
 /* Move the estimate of lane l to the best candidate, where the candidates differ.
@@ -201,33 +230,37 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
         weigh(d, b, l, X, first, 0.0);
     }
     best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
-    if (b->judges ? (largest - cost[best]) * independent(d, b, l, fade, best) > EVIDENCE : largest > DIFFER * cost[best]) {
+    listen(d, b, l, X, gain, best);
+    if (b->judges ? (largest - cost[best]) * independent(d, b, l, best) > EVIDENCE : largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
 }
 
-/* Half the range of the candidates of lane l that the errors do not tell apart from the best one, NaN before the first
- * sample. */
-SPARE static inline double undecided(Shape d, const double *law, double *memory, int l)
+/* Half the range of the delays of lane l that D_hat may be taken for, NaN before the first sample: of D_hat and the
+ * candidates whose costs noise may make of the best one's, a quarter of a candidate at least. What the memory was told
+ * longer ago than it is long counts less and less: then the range goes to that of the bounds. */
+SPARE static inline double undecided(Shape d, const double *law, double *memory, const double *D_hat, int l)
 {
     const Bank b = bank(d, law, memory);
-    const double *thetas = law + NUMBERS + b.K * d.m;
-    double lowest = INFINITY, low = INFINITY, high = -INFINITY;
+    const double *thetas = law + NUMBERS + b.K * d.m, spacing = thetas[1] - thetas[0];
+    double low = D_hat[l], high = D_hat[l], lowest = INFINITY, limit, old, half, before = 0.0;
+    int best = 0;
     if (isnan(b.gap[l])) {
         return NAN;
     }
-    for (int pass = 0; pass < 2; pass++) {
-        for (int i = 0; i < b.K; i++) {
-            double cost = 0.0;
-            for (int c = 0; c < b.n; c++) {
-                cost += b.lasting[((ptrdiff_t)i * b.n + c) * d.lanes + l] / b.floor[c * d.lanes + l];
-            }
-            lowest = smaller(lowest, cost);
-            if (pass == 1 && cost <= DIFFER * lowest) {
-                low = smaller(low, thetas[i]);
-                high = larger(high, thetas[i]);
-            }
-        }
+    for (int i = 0; i < b.K; i++) {
+        const double cost = cost_of(d, &b, b.lasting + l, b.floor + l, i);
+        best = cost < lowest ? i : best;
+        lowest = smaller(lowest, cost);
     }
-    return 0.5 * (high - low);
+    limit = lowest + PLAUSIBLE / independent(d, &b, l, best);
+    for (int i = 0; i < b.K; i++) {
+        const double cost = cost_of(d, &b, b.lasting + l, b.floor + l, i);
+        low = cost <= limit ? smaller(low, thetas[i]) : low;
+        high = cost <= limit ? larger(high, thetas[i]) : high;
+    }
+    (void)before;
+    half = 0.5 * larger(smaller(high, law[HIGH]) - larger(low, law[LOW]), 0.5 * spacing);
+    old = larger(b.age[l] * law[LEAK] - 1.0, 0.0) / STALE;
+    return half + (larger(0.5 * (law[HIGH] - law[LOW]), half) - half) * (1.0 - exp(-old));
 }

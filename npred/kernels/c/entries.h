@@ -10,9 +10,9 @@ void replaced(Shape d, State *z, const double *U)
     replace(d, z, U);
 }
 
-void spreads(Shape d, const double *law, double *memory, double *out)
+void spreads(Shape d, const double *law, double *memory, const double *D_hat, double *out)
 {
     for (int l = 0; l < d.lanes; l++) {
-        out[l] = undecided(d, law, memory, l);
+        out[l] = undecided(d, law, memory, D_hat, l);
     }
 }

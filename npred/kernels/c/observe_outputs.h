@@ -32,7 +32,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
     const Bank b = bank(d, law, memory);
     const double *settings = law + NUMBERS + b.K * (M + 1), *start = settings + SETTINGS;
     double *lead = memory + b.K * WHOLE, *gains_of = lead + WHOLE + SIZE * SIZE, *cost = work;
-    double gain[4], spread[OUTPUTS], e[OUTPUTS], of_best[OUTPUTS] = {0.0}, v[M], Y[OUTPUTS], largest, came = NAN;
+    double gain[4], spread[OUTPUTS], e[OUTPUTS], v[M], Y[OUTPUTS], largest, came = NAN;
     int best;
     if (isnan(b.gap[0])) {
         for (int c = 0; c < LEAD; c++) {
@@ -76,7 +76,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
             scaled = e[c] / spread[c];
             b.lasting[a] += b.pace[0] * (scaled * scaled - gain[2] * b.lasting[a]);
             b.recent[a] = gain[3] * b.recent[a] + scaled * scaled;
-            of_best[c] = i == best ? scaled : of_best[c];
+            b.x[a] = Y[c] - scaled;
         }
         for (int c = 0; c < WHOLE; c++) {
             z[c] = !finite ? lead[c] : c < N ? out[c] : z[c];
@@ -85,12 +85,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
             }
         }
     }
-    for (int c = 0; c < OUTPUTS && !isnan(came); c++) {
-        const double error = isnan(X[c]) ? 0.0 : of_best[c];
-        b.slow[c] += (1.0 - gain[3]) * (error - b.slow[c]);
-        b.swing[c] += b.pace[0] * (b.slow[c] * b.slow[c] - gain[2] * b.swing[c]);
-    }
-    b.told[0] += isnan(came) ? 0.0 : b.pace[0] * (1.0 - gain[2] * b.told[0]);
+    gain[0] = 0.0;
     Y[0] = isnan(came) ? NAN : isnan(Y[0]) ? 0.0 : Y[0];
     choose(d, &b, 0, Y, gain, law, cost, D_hat);
 }
