@@ -182,7 +182,8 @@ SPARE static inline double independent(Shape d, const Bank *b, int l, int best)
 }
 
 /* Take down what the last sample says of lane l's noise, by the best candidate. */
-static inline void listen(Shape d, const Bank *b, int l, const double *X, const double *gain, int best)
+static inline void listen(Shape d, const Bank *b, int l, const double *X, const double *gain, int best,
+                          double news)
 {
     const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l], left = 1.0 - gain[l];
     for (int c = 0; c < b->n; c++) {
@@ -193,7 +194,7 @@ static inline void listen(Shape d, const Bank *b, int l, const double *X, const 
     }
     b->white[l] = (1.0 - fade) / (1.0 + fade);
     b->told[l] += b->pace[l] * (1.0 - leak * b->told[l]);
-    b->age[l] -= b->pace[l] * leak * b->age[l];
+    b->age[l] -= news * leak * b->age[l];
 }
 
 /* Move the estimate of lane l to the best candidate, where the candidates differ.
@@ -206,7 +207,7 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     const double *thetas = law + NUMBERS + b->K * d.m, spacing = thetas[1] - thetas[0];
     const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l];
     const int first = b->calls[l] <= law[PATIENCE], K = b->K;
-    double window, memory, largest, near = INFINITY, ratio, least_window, least_memory;
+    double window, memory, largest, near = INFINITY, ratio, news;
     int best, k, risen;
     if (isnan(X[l])) {
         return;
@@ -214,14 +215,14 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     weigh(d, b, l, X, first, leak);
     k = least(most((int)rint((D_hat[l] - thetas[0]) / spacing), 0), K - 1);
     best = compare(d, b, b->recent + l, b->level + l, cost, &window);
-    least_window = b->judges ? cost[best] : 0.0;
+    news = window - cost[best];
     for (int i = most(k - 1, 0); i < least(k + 2, K); i++) {
         near = smaller(near, cost[i]);
     }
     risen = near > RISES * larger(cost[best], (double)b->n);
     k = compare(d, b, b->lasting + l, b->level + l, cost, &memory);
-    least_memory = b->judges ? cost[k] : 0.0;
-    ratio = (1.0 - fade) / leak * (window - least_window) / (memory - least_memory);
+    news *= (1.0 - fade) / leak / (memory - cost[k] + 1e-300);
+    ratio = b->judges ? news : (1.0 - fade) / leak * window / memory;
     b->pace[l] = PACE * ratio < 1.0 ? PACE * ratio : 1.0; /* and where neither tells anything */
     if (risen && DIFFER * ratio > 1.0 && !first) {
         for (int a = 0; a < K * b->n; a++) {
@@ -230,7 +231,7 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
         weigh(d, b, l, X, first, 0.0);
     }
     best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
-    listen(d, b, l, X, gain, best);
+    listen(d, b, l, X, gain, best, larger(smaller(PACE * news, 1.0), 0.0));
     if (b->judges ? (largest - cost[best]) * independent(d, b, l, best) > EVIDENCE : largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
@@ -243,7 +244,7 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory,
 {
     const Bank b = bank(d, law, memory);
     const double *thetas = law + NUMBERS + b.K * d.m, spacing = thetas[1] - thetas[0];
-    double low = D_hat[l], high = D_hat[l], lowest = INFINITY, limit, old, half, before = 0.0;
+    double low = D_hat[l], high = D_hat[l], lowest = INFINITY, limit, old, half;
     int best = 0;
     if (isnan(b.gap[l])) {
         return NAN;
@@ -259,7 +260,6 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory,
         low = cost <= limit ? smaller(low, thetas[i]) : low;
         high = cost <= limit ? larger(high, thetas[i]) : high;
     }
-    (void)before;
     half = 0.5 * larger(smaller(high, law[HIGH]) - larger(low, law[LOW]), 0.5 * spacing);
     old = larger(b.age[l] * law[LEAK] - 1.0, 0.0) / STALE;
     return half + (larger(0.5 * (law[HIGH] - law[LOW]), half) - half) * (1.0 - exp(-old));
