@@ -7,7 +7,9 @@ enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUM
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
 #define PLAUSIBLE 4.0  /* such a difference, of two deviations, from which on a candidate is not taken for the best */
-#define STALE 20.0     /* lengths of the memory, after which what it was told is too old to tell the delay */
+#define CHANCE 8.0     /* and one that noise may make in the window, of the candidates that differ most */
+#define LEAST 0.02     /* the slowest pace of a memory of candidates that are judged by outputs */
+#define STALE 40.0     /* lengths of the memory, after which what it was told is too old to tell the delay */
 #define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */
 #define FEW 20.0       /* samples that the window has at least: where they come more rarely, it and the memory are longer */
 #define TIED 1.0001    /* costs this close to the smallest are as good */
@@ -168,9 +170,8 @@ static inline void weigh(Shape d, const Bank *b, int l, const double *X, int fir
     }
 }
 
-/* How many independent samples the memory holds: their number over what the errors of the best candidate, where they are
- * not white, make of the variance of a mean. */
-SPARE static inline double independent(Shape d, const Bank *b, int l, int best)
+/* How many times as uncertain the mean of the best candidate's errors is as that of white noise. */
+SPARE static inline double colour(Shape d, const Bank *b, int l, int best)
 {
     double excess = 1.0;
     for (int c = 0; c < b->n; c++) {
@@ -178,23 +179,24 @@ SPARE static inline double independent(Shape d, const Bank *b, int l, int best)
         const double sum = b->lasting[(ptrdiff_t)best * b->n * d.lanes + a];
         excess = larger(excess, b->swing[a] / (b->white[l] * sum + 1e-300));
     }
-    return b->told[l] / excess;
+    return excess;
 }
 
 /* Take down what the last sample says of lane l's noise, by the best candidate. */
 static inline void listen(Shape d, const Bank *b, int l, const double *X, const double *gain, int best,
                           double news)
 {
-    const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l], left = 1.0 - gain[l];
+    const double leak = gain[2 * d.lanes + l] * b->pace[l], fade = gain[3 * d.lanes + l], left = 1.0 - gain[l];
+    const double weight = b->judges ? 1.0 : b->pace[l];
     for (int c = 0; c < b->n; c++) {
         const ptrdiff_t a = (ptrdiff_t)c * d.lanes + l;
         const double moved = X[a] - b->x[(ptrdiff_t)best * b->n * d.lanes + a], e = left > 0.0 ? moved / left : 0.0;
         b->slow[a] += (1.0 - fade) * ((isnan(e) ? 0.0 : e) - b->slow[a]);
-        b->swing[a] += b->pace[l] * (b->slow[a] * b->slow[a] - leak * b->swing[a]);
+        b->swing[a] += weight * b->slow[a] * b->slow[a] - leak * b->swing[a];
     }
     b->white[l] = (1.0 - fade) / (1.0 + fade);
-    b->told[l] += b->pace[l] * (1.0 - leak * b->told[l]);
-    b->age[l] -= news * leak * b->age[l];
+    b->told[l] += weight - leak * b->told[l];
+    b->age[l] -= news * gain[2 * d.lanes + l] * b->age[l];
 }
 
 /* Move the estimate of lane l to the best candidate, where the candidates differ.
@@ -221,9 +223,10 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     }
     risen = near > RISES * larger(cost[best], (double)b->n);
     k = compare(d, b, b->lasting + l, b->level + l, cost, &memory);
+    news = larger(news - CHANCE * (1.0 - fade) * colour(d, b, l, k), 0.0);
     news *= (1.0 - fade) / leak / (memory - cost[k] + 1e-300);
     ratio = b->judges ? news : (1.0 - fade) / leak * window / memory;
-    b->pace[l] = PACE * ratio < 1.0 ? PACE * ratio : 1.0; /* and where neither tells anything */
+    b->pace[l] = PACE * ratio < 1.0 ? larger(PACE * ratio, b->judges ? LEAST : 0.0) : 1.0; /* and where neither tells anything */
     if (risen && DIFFER * ratio > 1.0 && !first) {
         for (int a = 0; a < K * b->n; a++) {
             b->lasting[(ptrdiff_t)a * d.lanes + l] = b->recent[(ptrdiff_t)a * d.lanes + l];
@@ -231,8 +234,8 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
         weigh(d, b, l, X, first, 0.0);
     }
     best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
-    listen(d, b, l, X, gain, best, larger(smaller(PACE * news, 1.0), 0.0));
-    if (b->judges ? (largest - cost[best]) * independent(d, b, l, best) > EVIDENCE : largest > DIFFER * cost[best]) {
+    listen(d, b, l, X, gain, best, smaller(PACE * news, 1.0));
+    if (b->judges ? (largest - cost[best]) * b->told[l] > EVIDENCE * colour(d, b, l, best) : largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
 }
@@ -254,7 +257,7 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory,
         best = cost < lowest ? i : best;
         lowest = smaller(lowest, cost);
     }
-    limit = lowest + PLAUSIBLE / independent(d, &b, l, best);
+    limit = lowest + PLAUSIBLE * colour(d, &b, l, best) / b.told[l];
     for (int i = 0; i < b.K; i++) {
         const double cost = cost_of(d, &b, b.lasting + l, b.floor + l, i);
         low = cost <= limit ? smaller(low, thetas[i]) : low;

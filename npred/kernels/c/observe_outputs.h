@@ -74,7 +74,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
             double scaled;
             e[c] = isnan(X[c]) ? 0.0 : finite ? smaller(larger(X[c] - out[N + c], -limit), limit) : limit;
             scaled = e[c] / spread[c];
-            b.lasting[a] += b.pace[0] * (scaled * scaled - gain[2] * b.lasting[a]);
+            b.lasting[a] += scaled * scaled - b.pace[0] * gain[2] * b.lasting[a];
             b.recent[a] = gain[3] * b.recent[a] + scaled * scaled;
             b.x[a] = Y[c] - scaled;
         }
