@@ -153,7 +153,11 @@ def _settings(
     """The numbers that the controller is set to, and the kernels by their parts, as constants."""
     low, high = D_hat_bounds(controller)
     numbers = {"D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
-    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max}
+    first, last = controller.adaptation.ends(controller.dt) if controller.adaptation else (-np.inf, np.inf)
+    first, last = (first, last) if first < last else (-np.inf, np.inf)
+    largest = np.finfo(PRECISIONS[real]).max
+    numbers |= {"D_HAT_FIRST": max(first, -largest), "D_HAT_LAST": min(last, largest)}
+    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else largest}
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
     arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}

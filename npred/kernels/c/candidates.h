@@ -263,6 +263,9 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory,
         low = cost <= limit ? smaller(low, thetas[i]) : low;
         high = cost <= limit ? larger(high, thetas[i]) : high;
     }
+    if (2.0 * larger(D_hat[l] - law[LOW], law[HIGH] - D_hat[l]) >= 2.0 * (law[HIGH] - law[LOW]) - spacing) {
+        return law[HIGH] - law[LOW]; /* at its bound D_hat says nothing of how far beyond it the delay is */
+    }
     half = 0.5 * larger(smaller(high, law[HIGH]) - larger(low, law[LOW]), 0.5 * spacing);
     old = larger(b.age[l] * law[LEAK] - 1.0, 0.0) / STALE;
     return half + (larger(0.5 * (law[HIGH] - law[LOW]), half) - half) * (1.0 - exp(-old));
