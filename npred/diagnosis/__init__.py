@@ -11,7 +11,7 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, limits, loops, prediction
+from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, estimated_delay, limits, loops, prediction
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.loop import control_step
 from npred.plants import inputs
@@ -42,6 +42,7 @@ QUESTIONS = (
     Check("delay margin", delay_margin.tolerated, delay_margin.applies),
     Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("limits", limits.kept, limits.applies),
+    Check("delay estimate", estimated_delay.told, estimated_delay.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
     Check("completeness", box.complete, lambda case: case.verdict("stiffness") == "yes"),
