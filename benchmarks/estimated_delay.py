@@ -3,9 +3,9 @@
     python benchmarks/estimated_delay.py [outputs] [spread] [held_out] [--seeds 5] [--first 0]
 
 `outputs`: seven plants with an unmeasured state, an offset that is estimated and noise of .4 % of the outputs' ranges;
-set-points in four steps, and a load after 40 % of the time. A loop settles that ends within 5 % of half the range of its
-output. `spread`: the twelve classes of loops of benchmarks/unmeasured.py, in the middle of their transient and at their
-end. `held_out`: the same for plants, starts and seeds which no constant of the law was chosen by.
+set-points in four steps, and a load after 40 % of the time. A loop settles that ends within 5 % of half the range of
+its output. `spread`: the twelve classes of loops of benchmarks/unmeasured.py, in the middle of their transient and at
+their end. `held_out`: the same for plants, starts and seeds which no constant of the law was chosen by.
 A true error counts as covered within twice the spread; a spread as wide above a quarter of the range of the bounds.
 """
 
@@ -30,15 +30,15 @@ class Neutral:
     states, inputs, outputs, parameters = ("w", "e"), ("q",), ("pH",), {"aim": 7.0}
     box, guess, input_bounds, time_unit = {"w": (-1.0, 1.0), "e": (4.5, 9.5)}, (0.0, 7.0), ((0.0, 2.0),), "min"
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         r = x.w / 0.3
         pH = 7 + 2 * M.log(r + M.sqrt(r * r + 1)) / 2.302585
         return [(200 * u.q - 160 - (20 + u.q) * x.w) / 60, (pH - x.e) / 0.15]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.e]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.e - p.aim]
 
 
@@ -48,13 +48,13 @@ class Heated:
     states, inputs, outputs, parameters = ("T", "s"), ("P",), ("T_s",), {"aim": 50.0}
     box, guess, input_bounds, time_unit = {"T": (20.0, 80.0), "s": (20.0, 80.0)}, (50.0, 50.0), ((0.0, 100.0),), "min"
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         return [(20.0 - x.T) / 10.0 + 0.12 * u.P, (x.T - x.s) / 1.5]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.s]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.s - p.aim]
 
 
@@ -64,13 +64,13 @@ class Servo:
     states, inputs, outputs, parameters = ("a", "w"), ("U",), ("angle",), {"aim": 0.0}
     box, guess, input_bounds = {"a": (-2.0, 2.0), "w": (-4.0, 4.0)}, (0.0, 0.0), ((-8.0, 8.0),)
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.w, -3.0 * x.w - 0.5 * M.tanh(5 * x.w) + 4.0 * u.U]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.a]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.a - p.aim]
 
 
@@ -80,14 +80,14 @@ class Culture:
     states, inputs, outputs, parameters = ("b", "s"), ("q",), ("s",), {"aim": 1.0}
     box, guess, input_bounds, time_unit = {"b": (1.0, 4.5), "s": (0.2, 3.0)}, (2.2, 1.0), ((0.02, 0.5),), "h"
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         growth = 0.5 * x.s / (1.0 + x.s)
         return [(growth - u.q) * x.b, u.q * (6.0 - x.s) - growth * x.b / 0.5]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.s]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.s - p.aim]
 
 
@@ -97,14 +97,14 @@ class Tanks:
     states, inputs, outputs, parameters = ("h", "g"), ("q",), ("level",), {"aim": 10.0}
     box, guess, input_bounds = {"h": (2.0, 25.0), "g": (2.0, 25.0)}, (10.0, 10.0), ((0.0, 30.0),)
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         above, below = (M.sqrt(M.maximum(level, 0.01)) for level in (x.h, x.g))
         return [(u.q - 4.0 * above) / 20.0, (above - below) / 5.0]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.g]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.g - p.aim]
 
 
@@ -114,13 +114,13 @@ class Pendulum:
     states, inputs, outputs, parameters = ("a", "w"), ("U",), ("angle",), {"aim": 0.0}
     box, guess, input_bounds = {"a": (-0.8, 0.8), "w": (-2.0, 2.0)}, (0.0, 0.0), ((-4.0, 4.0),)
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.w, 2.0 * M.sin(x.a) - 0.3 * x.w + u.U]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.a]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.a - p.aim]
 
 
@@ -130,13 +130,13 @@ class Motor:
     states, inputs, outputs, parameters = ("w", "i"), ("U",), ("speed",), {"aim": 50.0}
     box, guess, input_bounds = {"w": (0.0, 100.0), "i": (-5.0, 15.0)}, (50.0, 2.0), ((-24.0, 24.0),)
 
-    def f(x, u, t, p, M):
+    def f(x: Any, u: Any, t: Any, p: Any, M: Any) -> Any:
         return [(0.1 * x.i - 0.004 * x.w) / 0.005, (u.U - 1.0 * x.i - 0.1 * x.w) / 0.05]
 
-    def output(x, t, p, M):
+    def output(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.w]
 
-    def setpoint(x, t, p, M):
+    def setpoint(x: Any, t: Any, p: Any, M: Any) -> Any:
         return [x.w - p.aim]
 
 
@@ -172,7 +172,7 @@ def loop(kind: type, D_hat: float, seed: int) -> tuple[Any, float]:
 def outputs_table(asked: argparse.Namespace) -> str:
     """The loops of each plant from a low, a near and a high first estimate."""
     rows, seeds = [], range(asked.first, asked.first + asked.seeds)
-    for kind, (D, bounds, starts, *_, _load) in CASES.items():
+    for kind, (D, bounds, starts, *_) in CASES.items():
         runs = [loop(kind, D_hat, seed) for D_hat in starts for seed in seeds]
         errors = np.array([abs(run.D_hat[-1] - D) for run, _ in runs]) / D
         spreads = np.array([run.D_hat_spread for run, _ in runs]) / D
@@ -180,16 +180,8 @@ def outputs_table(asked: argparse.Namespace) -> str:
         numbers = np.median(errors), errors.max(), np.median(spreads)
         wide = (spreads * D > WIDE * (bounds[1] - bounds[0])).sum()
         rows.append([kind.__name__, f"{len(runs)}", *map(str, counts), *(f"{v:.3f}" for v in numbers), f"{wide}"])
-    header = [
-        "unmeasured state, offset",
-        "loops",
-        "settle",
-        "covered",
-        "median error, D",
-        "largest",
-        "median spread, D",
-    ]
-    return columns([*header, "wide"], rows)
+    header = ["loops", "settle", "covered", "median error, D", "largest", "median spread, D", "wide"]
+    return columns(["unmeasured state, offset", *header], rows)
 
 
 def spread_row(label: str, run: Any, D: Any, bounds: tuple[float, float]) -> list[str]:
@@ -197,15 +189,8 @@ def spread_row(label: str, run: Any, D: Any, bounds: tuple[float, float]) -> lis
     error, spread = np.abs(run.D_hat[..., -1] - D).ravel(), run.D_hat_spread.ravel()
     wide = (spread > WIDE * (bounds[1] - bounds[0])).sum()
     covered = f"{(error <= 2 * spread).sum()} of {error.size}"
-    return [
-        label,
-        f"{run.t[-1]:g}",
-        covered,
-        f"{np.median(error):.4f}",
-        f"{error.max():.4f}",
-        f"{np.median(spread):.3f}",
-        f"{wide}",
-    ]
+    numbers = f"{np.median(error):.4f}", f"{error.max():.4f}", f"{np.median(spread):.3f}"
+    return [label, f"{run.t[-1]:g}", covered, *numbers, f"{wide}"]
 
 
 HEADER = ["after, s", "covered", "median error", "largest", "median spread", "wide"]
@@ -252,7 +237,7 @@ TABLES: dict[str, Callable[[argparse.Namespace], str]] = {
 }  # fmt: skip
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("tables", nargs="*", choices=[*TABLES, []], default=[])
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)

@@ -11,7 +11,17 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, estimated_delay, limits, loops, prediction
+from npred.diagnosis import (
+    adaptive_loop,
+    box,
+    delay_margin,
+    disturbance,
+    equilibrium,
+    estimated_delay,
+    limits,
+    loops,
+    prediction,
+)
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.loop import control_step
 from npred.plants import inputs

@@ -25,7 +25,7 @@ def applies(case: Case) -> bool:
 
 
 def told(case: Case) -> Verdict:
-    """Whether loops with an observer of the delay and the EKF find D, and whether the spread tells where they do not."""
+    """Whether loops with an observer of the delay and the EKF find D, and what the spread says where they do not."""
     plant, law = case.plant, DelayObserver(bounds=(0.1 * case.D, 4.0 * case.D))
     try:
         of = EKF(plant, offset=True)
@@ -40,8 +40,8 @@ def told(case: Case) -> Verdict:
     spread, shown = float(run.D_hat_spread.max()), plant.time_text
     off = float(np.abs(run.D_hat[:, -1] - case.D).max())
     text = (
-        f"from {ESTIMATES[0]:g} D and {ESTIMATES[-1]:g} D, with an EKF and noise of 1 % of half the outputs' range, D_hat "
-        f"is {shown(off, '.2g')} off at most after {shown(t_end, '.3g')}, D_hat_spread up to {shown(spread, '.2g')}"
+        f"from {ESTIMATES[0]:g} D and {ESTIMATES[-1]:g} D, with an EKF and noise of 1 % of half the outputs' range, "
+        f"D_hat is {shown(off, '.2g')} off at most after {shown(t_end, '.3g')}, D_hat_spread up to {shown(spread, '.2g')}"
     )
     figures = {"D_hat_error": off, "D_hat_spread": spread}
     if spread <= CLEAR * (law.bounds[1] - law.bounds[0]):

@@ -107,8 +107,8 @@ class DelayLaw(ABC):
 
         With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
         before the prediction of the step. None for a law that gives a rate. Where samples of X arrive, it gets them
-        at the step k at which they were taken, NaN in the loops without one. Where `of_state` estimates X from outputs, it
-        gets samples of these instead, and how many steps after k they were taken.
+        at the step k at which they were taken, NaN in the loops without one. Where `of_state` estimates X from outputs,
+        it gets samples of these instead, and how many steps after k they were taken.
         """
         return None
 

@@ -187,7 +187,8 @@ class Controller(InNotebook):
         if observer:
             memory, widens = observer.anew()
             parts |= {
-                "sensing": observer.settings, "judges_outputs": self._watches, "pulls": observer.pulls, "offsets": observer.offset,
+                "sensing": observer.settings, "judges_outputs": self._watches,
+                "pulls": observer.pulls, "offsets": observer.offset,
                 "filter_count": len(memory), "anew": memory, "widens": widens,
             }  # fmt: skip
         if watchdog:
@@ -309,7 +310,8 @@ class Controller(InNotebook):
         offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
         low, high = self.adaptation.ends(self.dt) if self.adaptation else (-math.inf, math.inf)
         return Status(
-            D_hat=self.D_hat, D_hat_spread=spread, at_bound=low < high and not low < self.D_hat < high, age=math.inf if math.isnan(age) else age,
+            D_hat=self.D_hat, D_hat_spread=spread, at_bound=low < high and not low < self.D_hat < high,
+            age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
             fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
