@@ -41,7 +41,7 @@ def told(case: Case) -> Verdict:
     off = float(np.abs(run.D_hat[:, -1] - case.D).max())
     text = (
         f"from {ESTIMATES[0]:g} D and {ESTIMATES[-1]:g} D, with an EKF and noise of 1 % of half the outputs' range, "
-        f"D_hat is {shown(off, '.2g')} off at most after {shown(t_end, '.3g')}, D_hat_spread up to {shown(spread, '.2g')}"
+        f"D_hat is {shown(off, '.2g')} off at most after {shown(t_end, '.3g')}, D_hat_spread is {shown(spread, '.2g')}"
     )
     figures = {"D_hat_error": off, "D_hat_spread": spread}
     if spread <= CLEAR * (law.bounds[1] - law.bounds[0]):

@@ -86,7 +86,7 @@ def distances(case: Case, X: np.ndarray, seconds: float) -> np.ndarray:
 
 
 def run(case: Case, D_hat: float | np.ndarray, X0: np.ndarray, t_end: float, dt: float, **parts: Any) -> Trajectories:
-    """Loops of the case from X0 (B, n), predicted by the exact model over D_hat, one or (B,); constant without a law."""
+    """Loops of the case from X0 (B, n), predicted by the exact model over D_hat, one or (B,)."""
     delays = {"D": case.D, "D_hat": D_hat}
     if case.plant.declares_delay:
         delays = {"D_hat": 0.0} if np.all(D_hat == 0) else {}

@@ -1,22 +1,26 @@
 /* Which candidate of the delay is the best, by the errors of its observers: K candidates, n numbers that are compared, all
  * states or the outputs, m inputs. Of each candidate the squared errors are summed with two forgetting times, `lasting`
- * and `recent`. */
-enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* of the settings; then shifts (K, m), thetas */
+ * and `recent`.
+ *
+ * Costs, the sums over a unit, differ by chance too: with N samples in the memory and errors e of the best candidate that
+ * are white, N (cost - smallest cost) is a difference of squares in variances of e; where e is not white, N is divided by
+ * the long-run variance of e over its variance (`colour`). */
+enum { K_AT, COMPARED, FIRST, INJECT, PUSH, LEAK, FADE, PATIENCE, LOW, HIGH, NUMBERS }; /* settings; then shifts, thetas */
 #define SMALLEST 1e-12 /* of a state's largest value: errors below it are rounding */
-#define EVIDENCE 16.0  /* the same of candidates that are judged by outputs, in variances of what noise makes of it */
 #define DIFFER 4.0     /* the worst candidate's cost over the best one's from which on the estimate moves */
+#define EVIDENCE 16.0  /* of candidates judged by outputs: that difference from which on the estimate moves */
+#define CHANCE 8.0     /* that difference in the window, which is no news */
+#define LEAST 0.02     /* of candidates judged by outputs: the slowest pace of the memory */
+#define PLAUSIBLE 4.0  /* that difference, of two deviations, up to which a candidate may be the best */
+#define STALE 40.0     /* lengths of the memory after which what it was told is too old to tell the delay */
 #define RISES 4.0      /* the errors over their level, and over those of the best, from which on the delay has changed */
-#define PLAUSIBLE 4.0  /* such a difference, of two deviations, from which on a candidate is not taken for the best */
-#define CHANCE 8.0     /* and one that noise may make in the window, of the candidates that differ most */
-#define LEAST 0.02     /* the slowest pace of a memory of candidates that are judged by outputs */
-#define STALE 40.0     /* lengths of the memory, after which what it was told is too old to tell the delay */
 #define PACE 2.0       /* times what the window tells over what the memory tells is the pace of the memory, 1 at most */
 #define FEW 20.0       /* samples that the window has at least: where they come more rarely, it and the memory are longer */
 #define TIED 1.0001    /* costs this close to the smallest are as good */
 
 /* What is remembered, lanes innermost. `gap` is the control steps since the last sample, `calls` those up to it. */
 typedef struct {
-    int K, n, judges;
+    int K, n, judges; /* judges: whether outputs are compared */
     double *x, *push, *lasting, *recent; /* (K, n), (K, m), (K, n), (K, n) */
     double *floor, *level, *scale;       /* (n) */
     double *slow, *swing; /* (n) of the best candidate: its error without what is fast, and the sum of the squares of that */
@@ -182,7 +186,7 @@ SPARE static inline double colour(Shape d, const Bank *b, int l, int best)
     return excess;
 }
 
-/* Take down what the last sample says of lane l's noise, by the best candidate. */
+/* Take down what the last sample says of lane l's noise, by the best candidate, and how old the memory is with `news`. */
 static inline void listen(Shape d, const Bank *b, int l, const double *X, const double *gain, int best,
                           double news)
 {
@@ -201,10 +205,12 @@ static inline void listen(Shape d, const Bank *b, int l, const double *X, const 
 
 /* Move the estimate of lane l to the best candidate, where the candidates differ.
  *
- * What the errors tell is the largest cost. Where the window tells far less than the memory, the pace of the memory is
- * slow; and where it tells about as much, errors far above the level and above the best candidate's start it anew. */
-static inline void choose(Shape d, const Bank *b, int l, const double *X, const double *gain, const double *law, double *cost,
-                   double *D_hat)
+ * What the errors tell is the largest cost, and `news` is how far it is beyond the smallest one and chance. Where the
+ * window tells far less than the memory, the pace of the memory is slow; and where it tells about as much, errors far
+ * above the level and above the best candidate's start it anew. Of outputs, whose noise may hide what a delay does, the
+ * memory keeps what each sample tells, and forgets for news. */
+static inline void choose(Shape d, const Bank *b, int l, const double *X, const double *gain, const double *law,
+                          double *cost, double *D_hat)
 {
     const double *thetas = law + NUMBERS + b->K * d.m, spacing = thetas[1] - thetas[0];
     const double leak = gain[2 * d.lanes + l], fade = gain[3 * d.lanes + l];
@@ -235,13 +241,14 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     }
     best = compare(d, b, b->lasting + l, b->floor + l, cost, &largest);
     listen(d, b, l, X, gain, best, smaller(PACE * news, 1.0));
-    if (b->judges ? (largest - cost[best]) * b->told[l] > EVIDENCE * colour(d, b, l, best) : largest > DIFFER * cost[best]) {
+    if (b->judges ? (largest - cost[best]) * b->told[l] > EVIDENCE * colour(d, b, l, best)
+                  : largest > DIFFER * cost[best]) {
         D_hat[l] = smaller(larger(parabola(K, cost, best, thetas, D_hat[l]), law[LOW]), law[HIGH]);
     }
 }
 
 /* Half the range of the delays of lane l that D_hat may be taken for, NaN before the first sample: of D_hat and the
- * candidates whose costs noise may make of the best one's, a quarter of a candidate at least. What the memory was told
+ * candidates whose costs noise may make of the best one's, a quarter of their distance at least. What the memory was told
  * longer ago than it is long counts less and less: then the range goes to that of the bounds. */
 SPARE static inline double undecided(Shape d, const double *law, double *memory, const double *D_hat, int l)
 {
