@@ -52,7 +52,7 @@ QUESTIONS = (
     Check("delay margin", delay_margin.tolerated, delay_margin.applies),
     Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("limits", limits.kept, limits.applies),
-    Check("delay estimate", estimated_delay.told, estimated_delay.applies),
+    Check("delay estimate", estimated_delay.found, estimated_delay.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
     Check("completeness", box.complete, lambda case: case.verdict("stiffness") == "yes"),

@@ -24,7 +24,7 @@ def applies(case: Case) -> bool:
     return asked and loops.applies(case) and problem_of(plant).refusal("observer") is None
 
 
-def told(case: Case) -> Verdict:
+def found(case: Case) -> Verdict:
     """Whether loops with an observer of the delay and the EKF find D, and what the spread says where they do not."""
     plant, law = case.plant, DelayObserver(bounds=(0.1 * case.D, 4.0 * case.D))
     try:

@@ -229,8 +229,8 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     }
     risen = near > RISES * larger(cost[best], (double)b->n);
     k = compare(d, b, b->lasting + l, b->level + l, cost, &memory);
-    news = larger(news - CHANCE * (1.0 - fade) * colour(d, b, l, k), 0.0);
-    news *= (1.0 - fade) / leak / (memory - cost[k] + 1e-300);
+    news -= CHANCE * (1.0 - fade) * colour(d, b, l, k);
+    news = news > 0.0 ? (1.0 - fade) / leak * news / (memory - cost[k]) : 0.0;
     ratio = b->judges ? news : (1.0 - fade) / leak * window / memory;
     b->pace[l] = PACE * ratio < 1.0 ? larger(PACE * ratio, b->judges ? LEAST : 0.0) : 1.0; /* and where neither tells anything */
     if (risen && DIFFER * ratio > 1.0 && !first) {
