@@ -19,16 +19,16 @@ The rates and times follow from one time T: L = 3 / T, omega = 8 / T, memory = 5
     20 control steps, which a window needs.
 Of the paper's plant with bounds of 0.1 to 4 s it is 1 s.
 
-A controller that estimates its state from outputs with an observer that is driven by commands late by D_hat has an X that
-confirms D_hat. There candidates are judged by the samples Y of the outputs (npred/kernels/c/observe_outputs.h): each has
-its own state and offset,
+A controller that estimates its state from outputs with an observer that is driven by commands late by D_hat has an X
+that confirms D_hat. There candidates are judged by the samples Y of the outputs, in
+npred/kernels/c/observe_outputs.h: each has its own state and offset,
     x' = f(x, U(t - θ) + d),   x <- x + K_x (Y - y(x)),   d <- d + K_d (Y - y(x)),
-with the gain K of one extended Kalman filter along the best candidate. Its variances scale Y - y(x), so that differences
-of the sums are differences of log likelihoods [Magill, IEEE TAC 10 (1965) 434]. They are compared with what noise makes
-of them, and the memory forgets them only for news.
+with the gain K of one extended Kalman filter along the best candidate. Its variances scale Y - y(x), so that
+differences of the sums are differences of log likelihoods [Magill, IEEE TAC 10 (1965) 434]. They are compared with what
+noise makes of them, and the memory forgets them only for news.
 
-The spread of D_hat is half the range of the candidates whose sums noise may make of the smallest one. With the time since
-the commands last showed the delay it grows to half the range of the bounds.
+The spread of D_hat is half the range of the candidates whose sums noise may make of the smallest one. With the time
+since the commands last showed the delay it grows to half the range of the bounds.
 
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
 samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
