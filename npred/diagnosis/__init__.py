@@ -11,7 +11,18 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, limits, loops, pi, prediction
+from npred.diagnosis import (
+    adaptive_loop,
+    box,
+    delay_margin,
+    disturbance,
+    equilibrium,
+    estimated_delay,
+    limits,
+    loops,
+    pi,
+    prediction,
+)
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.loop import control_step
 from npred.plants import inputs
@@ -43,6 +54,7 @@ QUESTIONS = (
     Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("PI", pi.compared, pi.applies),
     Check("limits", limits.kept, limits.applies),
+    Check("delay estimate", estimated_delay.found, estimated_delay.applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
     Check("completeness", box.complete, lambda case: case.verdict("stiffness") == "yes"),

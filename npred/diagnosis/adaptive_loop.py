@@ -82,7 +82,7 @@ def _run(loops: AdaptiveLoops, adaptation: str, rk4: RK4, every: int) -> Traject
     law = {PAPER: loops.law, OBSERVER: DelayObserver(bounds=loops.law.bounds), FROZEN: None}[adaptation]
     return simulate(
         rk4.plant, rk4, D=loops.D, D_hat=loops.D_hat, X0=loops.X0[:, None], t_end=loops.seconds, dt=loops.dt,
-        every=every, adaptation=law,
+        every=every, adaptation=law, progress=False,
     )  # fmt: skip
 
 

@@ -95,13 +95,14 @@ def distances(case: Case, X: np.ndarray, seconds: float, target: np.ndarray | No
         return np.linalg.norm((X - target) / case.width, axis=-1)
 
 
-def run(case: Case, D_hat: float, X0: np.ndarray, t_end: float, dt: float, **parts: Any) -> Trajectories:
-    """Loops of the case from X0 (B, n), predicted by the exact model over a constant D_hat."""
+def run(case: Case, D_hat: float | np.ndarray, X0: np.ndarray, t_end: float, dt: float, **parts: Any) -> Trajectories:
+    """Loops of the case from X0 (B, n), predicted by the exact model over D_hat, one or (B,)."""
     delays = {"D": case.D, "D_hat": D_hat}
     if case.plant.declares_delay:
-        delays = {"D_hat": 0.0} if D_hat == 0 else {}
+        delays = {"D_hat": 0.0} if np.all(D_hat == 0) else {}
     parts = {"u0": case.u0, "actuator": "history", "input_bounds": case.limits} | delays | parts
-    return simulate(case.plant, RK4(case.plant, nodes(case, D_hat)), X0=X0, t_end=t_end, dt=dt, progress=False, **parts)
+    exact = RK4(case.plant, nodes(case, float(np.max(D_hat))))
+    return simulate(case.plant, exact, X0=X0, t_end=t_end, dt=dt, progress=False, **parts)
 
 
 def nodes(case: Case, D_hat: float) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError
 from npred.base.registry import DELAY_LAWS, FROZEN
+from npred.estimation.observers import Observer
 from npred.plants.base import Plant
 from npred.plants.speed import rates
 from npred.prediction.delays import problem, problem_of
@@ -98,13 +99,16 @@ class DelayLaw(ABC):
         """
         return None
 
-    def observer(self, plant: Plant, dt: float) -> tuple[Kernel, np.ndarray, int] | None:
+    def observer(
+        self, plant: Plant, dt: float, of_state: Observer | None = None
+    ) -> tuple[Kernel, np.ndarray, int] | None:  # fmt: skip
         """A law that finds D_hat from X and its own commands: problem.OBSERVE of npred.prediction.delays, compiled
         for the plant.
 
         With it come the numbers that it is set to, and how many it remembers per loop, NaN at first. It writes D_hat
         before the prediction of the step. None for a law that gives a rate. Where samples of X arrive, it gets them
-        at the step k at which they were taken, NaN in the loops without one.
+        at the step k at which they were taken, NaN in the loops without one. Where `of_state` estimates X from outputs,
+        it gets samples of these instead, and how many steps after k they were taken.
         """
         return None
 
@@ -139,13 +143,13 @@ class Part(NamedTuple):
     memory: int = 1
 
 
-def part(plant: Plant, law: DelayLaw | None, dt: float) -> Part:
-    """The laws' part of a control step of dt; None freezes D_hat."""
+def part(plant: Plant, law: DelayLaw | None, dt: float, of_state: Observer | None = None) -> Part:
+    """The laws' part of a control step of dt, of a controller with an observer of the state; None freezes D_hat."""
     control = control_law(plant)
     if law is None:
         return Part(control, np.array((0.0, np.inf)))
     bounds = np.array(law.bounds, dtype=float)
-    if observer := law.observer(plant, dt):
+    if observer := law.observer(plant, dt, of_state):
         observe, settings, memory = observer
         return Part(control, bounds, observe=observe, settings=settings, memory=memory)
     kernel = law.kernel(plant)

@@ -19,6 +19,17 @@ The rates and times follow from one time T: L = 3 / T, omega = 8 / T, memory = 5
     20 control steps, which a window needs.
 Of the paper's plant with bounds of 0.1 to 4 s it is 1 s.
 
+A controller that estimates its state from outputs with an observer that is driven by commands late by D_hat has an X
+that confirms D_hat. There candidates are judged by the samples Y of the outputs, in
+npred/kernels/c/observe_outputs.h: each has its own state and offset,
+    x' = f(x, U(t - θ) + d),   x <- x + K_x (Y - y(x)),   d <- d + K_d (Y - y(x)),
+with the gain K of one extended Kalman filter along the best candidate. Its variances scale Y - y(x), so that
+differences of the sums are differences of log likelihoods [Magill, IEEE TAC 10 (1965) 434]. They are compared with what
+noise makes of them, and the memory forgets them only for news.
+
+The spread of D_hat is half the range of the candidates whose sums noise may make of the smallest one. With the time
+since the commands last showed the delay it grows to half the range of the bounds.
+
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
 samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the
 commands, and the gains are those of the time since the last one. A sample that arrives late is that of the step
@@ -37,6 +48,7 @@ import numpy as np
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.estimation.delay_law import DelayLaw
+from npred.estimation.observers import EKF, Observer
 from npred.formulas import programs
 from npred.formulas.tape import M
 from npred.kernels.formula import Formulas, vector
@@ -50,7 +62,7 @@ from npred.prediction.methods.runge_kutta import Heun
 SHARE, SLOW = 0.7, 0.5  # relative to the usual time constant, and to the slowest
 FEWEST = 20  # control steps in a window, as npred/kernels/c/candidates.h has them
 DIGITS = 9  # of a number of control steps, before it is rounded: half a step is that in any unit of time
-NUMBERS = 8  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
+NUMBERS = 10  # settings before shifts and thetas, as npred/kernels/c/candidates.h has them
 
 
 @dataclass(frozen=True)
@@ -129,17 +141,23 @@ class DelayObserver(DelayLaw):
         )
         return L, omega, memory, window
 
-    def observer(self, plant: Plant, dt: float) -> tuple[Callable[..., None], np.ndarray, int]:
+    def observer(
+        self, plant: Plant, dt: float, of_state: Observer | None = None
+    ) -> tuple[Callable[..., None], np.ndarray, int]:  # fmt: skip
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
         L, omega, memory, window = self.pace(plant, dt)
         leak, fade = 1 - math.exp(-dt / memory), math.exp(-dt / window)
         shifts = np.rint(np.round(thetas[:, None] * plant.ratios / dt, DIGITS)).ravel()
         follow = 1 - math.exp(-L * dt), L * omega * dt
-        settings = [count, *follow, leak, fade, 2 * window / dt, *self.bounds]
-        kernel = (_traced if plant.traced else _called)(plant, count)
-        size = count * (3 * n + m) + 3 * n + 3  # numbers of the struct Bank
-        return kernel, np.array([*settings, *shifts, *thetas], dtype=float), size
+        kernel, compared, first, tail = (_traced if plant.traced else _called)(plant, count), n, 0, ()
+        if of_state:
+            of = of_state.filter
+            kernel, compared, tail = _judging(of, count), len(of.outputs), (*of.settings, *of.start())
+            first = count * (n + m) + len(of.start()) + of.size * compared
+        settings = [count, compared, first, *follow, leak, fade, 2 * window / dt, *self.bounds]
+        size = first + count * (3 * compared + m) + 5 * compared + 6  # numbers of the struct Bank, and those before it
+        return kernel, np.array([*settings, *shifts, *thetas, *tail], dtype=float), size
 
 
 def _traced(plant: Plant, count: int) -> Kernel:
@@ -159,6 +177,24 @@ def _traced(plant: Plant, count: int) -> Kernel:
     return made(
         "observe", problem.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
         before=[skeleton("candidates.h")], work=lambda nx, lanes, _: 4 * lanes + count,
+    )  # fmt: skip
+
+
+def _judging(of: EKF, count: int) -> Kernel:
+    """OBSERVE of a plant whose state is estimated from outputs: the candidates step as those of `_traced`."""
+    plant = of.plant
+    n, m, formulas = plant.n, plant.m, Formulas(plant, ())
+    trace = formulas.trace
+    x, u, t, h = trace.vector("x", n), trace.vector("v", m), trace.input("t"), trace.input("h")
+    y, late = Heun.step(trace.f, x, u, u, u, t, h), trace.input("late")
+    outputs = of.traced_outputs(trace, y + late * (y - x), t + (1 + late) * h)
+    arguments = [vector("x", n, "1"), vector("v", m, "1"), "t", "h", "late"]
+    functions = {"STEP": formulas.function([*y, *outputs], arguments, {"out": n + len(outputs)}, "1")}
+    sizes = {"N": n, "M": m, "SIZE": of.size, "OUTPUTS": len(outputs)}
+    return made(
+        "observe", problem.OBSERVE, skeleton("observe_outputs.h"), functions, sizes,
+        {"FOLLOWED": of.follow, "CORRECTED": of.correct_with_gains},
+        before=[skeleton("candidates.h")], work=lambda nx, lanes, _: count,
     )  # fmt: skip
 
 

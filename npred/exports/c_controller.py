@@ -27,7 +27,7 @@ WHAT = "export controller"
 TAKEN = ("state", "D_hat", "time", "parameters", "one", "u0")  # what other functions of the header are called by
 # The settings that a step reads
 NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = "reads_commands stores_commands gated offsets watched holds pulls"
+FLAGS = "reads_commands stores_commands gated offsets watched holds judges_outputs pulls"
 COUNTS = "observer_count output_count end_count filter_count"
 ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
 
@@ -143,7 +143,7 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     sizes |= {"PARAMETERS": len(settable(controller)), "NUMBERS": settings.p.size} if variants["SETS"] else {}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
     states = 2 * controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
-    filters = settings.filter_count + 2 * settings.output_count
+    filters = settings.filter_count + 3 * settings.output_count + 1
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
 
 
@@ -153,7 +153,11 @@ def _settings(
     """The numbers that the controller is set to, and the kernels by their parts, as constants."""
     low, high = D_hat_bounds(controller)
     numbers = {"D_HAT": controller.D_hat, "T0": controller.t, "D_HAT_LOW": low, "SNAP": SNAP}
-    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else np.finfo(PRECISIONS[real]).max}
+    first, last = controller.adaptation.ends(controller.dt) if controller.adaptation else (-np.inf, np.inf)
+    first, last = (first, last) if first < last else (-np.inf, np.inf)
+    largest = np.finfo(PRECISIONS[real]).max
+    numbers |= {"D_HAT_FIRST": max(first, -largest), "D_HAT_LAST": min(last, largest)}
+    numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else largest}
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
     arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}

@@ -311,11 +311,13 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
     yield output("age", "AGE", "age of the last sample that was used; -1 before the first", time, -1.0)
     yield output("late", "LATE", "number of samples that came after a newer one, or were too old")
     yield output("refused", "REFUSED", "number of samples that were too far from the model's value")
+    if controller.adaptation:
+        yield flag("at_bound", "true if D_hat stands at a bound of its law: the delay may lie outside")
     if controller.observer:
         yield output("renewed", "RENEWED", "how often the observer of the state restarted")
     if controller.parts["observe"]:
         spread = controller.status.D_hat_spread
-        about = "half the range of the delays that fit the samples as well"
+        about = "half the range of the delays that D_hat may be taken for"
         yield output("D_hat_spread", "SPREAD", about, time, spread)
     if controller.watchdog:
         yield flag("handed_over", "true if the watchdog gives the command")

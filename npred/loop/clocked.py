@@ -105,6 +105,7 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
         chosen = (u_star == goal).all(axis=1)
         out.energy[chosen, 0] = _energy(of, rows[chosen], spans[chosen], events, goal)
     status = one.status
+    out.D_hat_spread[:] = status.D_hat_spread
     return out, OnAClock(
         X_hat=events.X_hat[..., 0], age=events.age_then[:, 0], handed_over=events.handed_over[:, 0].astype(bool),
         skipped=events.skipped.sum(), lost=(events.lost & ~events.skipped.astype(bool)).sum(),

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.base.progress import announce, counted, quiet
+from npred.base.progress import announce, counted, quiet, say
 from npred.estimation.delay_law import Adaptation, DelayLaw
-from npred.loop import clocked, engine, loop_checks, settable
+from npred.loop import clocked, engine, loop_checks, settable, trajectory_views
 from npred.loop.loop import Loop, LoopParts
 from npred.loop.simulation import Simulation
 from npred.loop.trajectories import Samples, Trajectories, of_record
@@ -90,7 +90,10 @@ def simulate(
     """
     named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
     loop = Loop.of("simulate", ("history_length",), named | {"adaptation": adaptation, **parts})
-    return run(loop, t_end, every, samples, progress)
+    loops = run(loop, t_end, every, samples, progress)
+    if progress is not False and (words := trajectory_views.at_bound(loops)):
+        say(f"simulate: {words}")
+    return loops
 
 
 def run(

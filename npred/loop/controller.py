@@ -131,7 +131,7 @@ class Controller(InNotebook):
         self._loop = replace(loop, dt=dt, adaptation=law, input_bounds=limits, u0=u0, outlier_limit=gate)
         self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
         self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
-        kernels = part(plant, law, dt)
+        kernels = part(plant, law, dt, loop.observer)
         self._reads_commands, self._watches = loop.reads_commands, kernels.memory > 1
         self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
         self._by_law = isinstance(u0, str) and u0 == inputs.LAW
@@ -189,7 +189,8 @@ class Controller(InNotebook):
         if observer:
             memory, widens = observer.anew()
             parts |= {
-                "sensing": observer.settings, "pulls": observer.pulls, "offsets": observer.offset,
+                "sensing": observer.settings, "judges_outputs": self._watches,
+                "pulls": observer.pulls, "offsets": observer.offset,
                 "filter_count": len(memory), "anew": memory, "widens": widens,
             }  # fmt: skip
         if watchdog:
@@ -307,10 +308,12 @@ class Controller(InNotebook):
         z, clock, m = self.memory, self._clock, self.plant.m
         age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
         if self._watches:
-            spread = engine.spread(self.plant.n, m, self.settings.law, z.observer)
+            spread = float(engine.spreads(m, self.settings.law, z.observer, z.D_hat)[0])
         offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
+        low, high = self.adaptation.ends(self.dt) if self.adaptation else (-math.inf, math.inf)
         return Status(
-            D_hat=self.D_hat, D_hat_spread=spread, age=math.inf if math.isnan(age) else age,
+            D_hat=self.D_hat, D_hat_spread=spread, at_bound=low < high and not low < self.D_hat < high,
+            age=math.inf if math.isnan(age) else age,
             innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
             missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
             fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,

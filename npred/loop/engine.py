@@ -36,10 +36,10 @@ def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
         "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
         "run_clocked": ([INDEX, INDEX, INDEX, *(POINTER,) * 7], None),
         "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
-        "spread": ([POINTER, POINTER], real),
+        "spreads": ([POINTER] * 4, None),
         "replaced": ([POINTER, POINTER], None),
     }
-    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spread", "replaced"]}
+    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spreads", "replaced"]}
     for name in names[files]:
         function = getattr(library, name)
         function.argtypes, function.restype = [Shape, *signatures[name][0]], signatures[name][1]
@@ -87,7 +87,7 @@ class Engine:
                 self._functions[name] = callback(one, PARTS[name], fixed | {"p": p}, self._failure)
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
-        filters = settings.filter_count + 2 * settings.output_count
+        filters = settings.filter_count + 3 * settings.output_count + 1
         self._work = np.empty(max(needed, default=0) + 2 * n + 3 * m + settings.observer_count + filters)
         self._arrays = [settings, state, *([out] if out else []), *([events] if events else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
@@ -133,6 +133,8 @@ def advance_kernel(plant: Plant, method: type[OneStep]) -> Callable[..., None]:
     return problem_of(plant).advance(method.step)
 
 
-def spread(n: int, m: int, law: np.ndarray, memory: np.ndarray) -> float:
-    """Half the range of the candidates that an observer of the delay cannot tell apart; NaN at first."""
-    return loaded(ON_A_PLANT).spread(Shape(0, 1, 0, n, m), address(law), address(memory))
+def spreads(m: int, law: np.ndarray, memory: np.ndarray, D_hat: np.ndarray) -> np.ndarray:
+    """Half the range of the candidates that an observer of the delay cannot tell apart, (B,); NaN at first."""
+    out = np.empty(memory.shape[1])
+    loaded(ON_A_PLANT).spreads(Shape(0, len(out), 0, 0, m), address(law), address(memory), address(D_hat), address(out))
+    return out

@@ -86,6 +86,7 @@ RECORD = [
     *_rows("sample", "sample_D_hat"),
     *_lane("escaped", start=-1, kind="int64"),  # the first step whose state is not finite
     *_lane("infeasible", start=-1, kind="int64"),  # the first step at which commands would overtake each other
+    *_lane("D_hat_spread"),  # at the end: half the range of the delays that fit the samples as well
     *_rows("breach", "breach"),  # state and input there, and the time of that step
     Signal("fallback", ("row",), 0, "bool"),  # whether the guard answered since the row before
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did
@@ -102,6 +103,7 @@ SETTINGS = [
     Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
     Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
     *(Signal(name, None, 0, "int") for name in ("gated", "offsets", "watched", "holds")),
+    Signal("judges_outputs", None, 0, "int"),  # whether an observer of the delay gets samples of the outputs
     Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
     Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo

@@ -107,7 +107,8 @@ class Simulation:
         lanes = c.stop - c.start
         origin, held, total = history(*self.reach(c), self.loop.dt, self.past.of(c))
         settings, out = self._settings(c), self.record(lanes, self.samples.shape[1])
-        steps = Engine(self.parts, settings, self._state(c, held, total), out)
+        state = self._state(c, held, total)
+        steps = Engine(self.parts, settings, state, out)
         if progress:
             progress(0)
         stops = {0, *range(min(FIRST, self.count), self.count, BLOCK), self.count, *self.begins}
@@ -117,6 +118,8 @@ class Simulation:
                 steps.run(origin, start, stop)
             if progress:
                 progress((stop - start) * lanes)
+        if self.law.memory > 1:
+            out.D_hat_spread[:] = engine.spreads(self.loop.plant.m, settings.law, state.observer, state.D_hat)
         return out
 
     @property

@@ -8,8 +8,9 @@ import numpy as np
 class Status(NamedTuple):
     """The state of a controller after its last call; times in the plant's unit.
 
-    D_hat, D_hat_spread: the estimate of the delay, and half the range of the candidates that fit the samples as well;
-    NaN without an observer of the delay.
+    D_hat, D_hat_spread: the estimate of the delay, and half the range of the delays that it may be taken for, NaN
+    without an observer of the delay. It is wide where commands changed too little, or too long ago, to tell the delay.
+    at_bound: whether D_hat stands at a bound of its law: the delay may lie outside.
     age: the age of the last used sample, infinity before the first.
     innovation (outputs,): the last sample minus the model's value, NaN before the first.
     late: number of samples that came after a newer one, or were older than `max_sample_age`. They were not used.
@@ -23,6 +24,7 @@ class Status(NamedTuple):
 
     D_hat: float
     D_hat_spread: float
+    at_bound: bool
     age: float
     innovation: np.ndarray
     late: int

@@ -58,6 +58,8 @@ class Trajectories:
     `escaped` (...) is the first step whose state is not finite, or -1; `infeasible` (...) the first step at which
     commands would overtake each other, 1 - D_X f - D_t <= 0, or -1, `margin` (...) that value and `breach` (..., n) the
     state there, in the plant or at a node of a prediction, which crosses 0 early: where the exact loop has up to .2.
+    `D_hat_spread` (...) is half the range of the delays that the last D_hat may be taken for (npred.loop.status), NaN
+    where it does not come from an observer.
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
     U was changed, likewise, `changes` (...) in how many steps, and `unkept` (...) in how many no U kept all limits;
@@ -78,6 +80,7 @@ class Trajectories:
     samples: Samples
     P: np.ndarray
     infeasible: np.ndarray
+    D_hat_spread: np.ndarray
     margin: np.ndarray
     breach: np.ndarray
     fallback: np.ndarray

@@ -29,7 +29,7 @@ def summary(loops: "Trajectories") -> str:
     named = dict(series(loops))
     width = max(map(len, named))
     for name, values in named.items():
-        unit = f" {loops.time_unit}" if name == "D_hat" else ""
+        unit = f" {loops.time_unit}{_uncertain(loops)}" if name == "D_hat" else ""
         lines.append(f"  {name:{width}}  {_span(values)}, ends at {_span(values[..., -1])}{unit}")
     overflown = loops.escaped[loops.escaped >= 0]
     if overflown.size:
@@ -40,6 +40,12 @@ def summary(loops: "Trajectories") -> str:
     if words := at_bound(loops):
         lines.append(f"  {words}")
     return "\n".join(lines)
+
+
+def _uncertain(loops: "Trajectories") -> str:
+    """How far the last D_hat may be off, in words; empty where no observer says it."""
+    spread = loops.D_hat_spread[np.isfinite(loops.D_hat_spread)]
+    return f" ± {_span(spread)}" if spread.size else ""
 
 
 def at_bound(loops: "Trajectories") -> str:

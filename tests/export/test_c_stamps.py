@@ -168,7 +168,7 @@ class Pair:
     def compare(self):
         python, limit = self.python.status, self.limit
         status = self.c.status(len(self.python.outputs))
-        exact = ("late", "refused", "missed", "handed_over", "fallback", "filtered", "unkept")
+        exact = ("late", "refused", "missed", "handed_over", "fallback", "filtered", "unkept", "at_bound")
         assert [getattr(status, name) for name in exact] == [getattr(python, name) for name in exact]
         sizes = np.maximum(1.0, np.abs(START[self.python.plant.name]).max())
         limits = {"D_hat": (1, 0), "age": (1, 1), "D_hat_spread": (1e3, 0), "error": (1e6, 0), "kept": (1e3, 10)}

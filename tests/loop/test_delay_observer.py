@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from follower import Follower, follower
+from hypothesis import given
+from hypothesis import strategies as st
 
 import npred
 from npred.base.errors import ConfigError
@@ -323,22 +325,27 @@ def test_a_disturbance_at_rest_replaces_no_transient():
 def after_sample(lasting, recent, D_hat, X=(1.0,), calls=9.0):
     """The estimate and the memory after a sample of candidates 0.1, 0.2, … s with these sums (K,) or (K, n)."""
     count, n = len(lasting), len(X)
-    _, memory, estimate = sampled_by(lasting, recent, D_hat, X, calls)
+    memory, estimate = sampled_by(lasting, recent, D_hat, X, calls)
     return estimate, memory[count * (n + 1) :]
 
 
-def sampled_by(lasting, recent, D_hat, X, calls):
-    """The settings, the whole memory and the estimate after such a sample."""
-    count, n, settings = len(lasting), len(X), [len(lasting), 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
+def remembered(lasting, recent, X=(1.0,), calls=9.0, told=100.0, age=0.0, white=0.05):
+    """The settings, and the memory of candidates 0.1, 0.2, … s with these sums, of a leak of 0.01 a sample."""
+    count, n = len(lasting), len(X)
+    settings = [count, n, 0, 0.0, 0.0, 0.01, 0.9, 5.0, 0.1, 0.9]
     assert len(settings) == NUMBERS
-    law, sums = (
-        np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)]),
-        np.ravel([lasting, recent]),
-    )
-    memory = np.concatenate([np.zeros(count * (n + 1)), sums, np.ones(3 * n), [calls, 1.0, 0.0]])[:, None]
+    law = np.array([*settings, *np.zeros(count), *np.linspace(0.1, 0.1 * count, count)])
+    sums = np.ravel([lasting, recent])
+    lanes = [told, white, age, calls, 1.0, 0.0]
+    return law, np.concatenate([np.zeros(count * (n + 1)), sums, np.ones(3 * n), np.zeros(2 * n), lanes])[:, None]
+
+
+def sampled_by(lasting, recent, D_hat, X, calls):
+    """The whole memory and the estimate after such a sample."""
+    law, memory = remembered(lasting, recent, X, calls)
     estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
-    bank(n, 1, count)[1](np.array(X)[:, None], law, memory, gain, estimate)
-    return law, memory[:, 0], estimate[0]
+    bank(len(X), 1, len(lasting))[1](np.array(X)[:, None], law, memory, gain, estimate)
+    return memory[:, 0], estimate[0]
 
 
 def chosen(sums, D_hat, X=(1.0,)):
@@ -425,10 +432,26 @@ def test_of_candidates_that_are_as_good_the_estimate_is_the_nearest():
         assert chosen(sums, 0.9) == pytest.approx(best + 0.1 * 3 / 10)  # the parabola through (-1, 5), (0, 1), (1, 2)
 
 
-@pytest.mark.parametrize("times", [3.9, 4.1])
-def test_the_spread_is_that_of_the_candidates_between_which_the_estimate_does_not_choose(times):
-    """It is narrow exactly where the estimate moves: the errors of the others are four times the best one's."""
-    sums = np.array([times] * 3 + [1.0, 1.5, 3.0] + [times] * 2)
-    law, memory, estimate = sampled_by(sums, sums / 10, 0.8, (1.0,), 9.0)
-    moves, spread = estimate != 0.8, engine.spread(1, 1, law, memory)
-    assert (moves, spread) == (times > 4, pytest.approx(0.1 if moves else 0.35))
+def spread(D_hat, lasting, **told):
+    law, memory = remembered(lasting, lasting, **told)
+    return engine.spreads(1, law, memory, np.array([D_hat]))[0]
+
+
+def test_the_spread_is_that_of_d_hat_and_the_candidates_which_noise_may_make_of_the_best():
+    """Of 100 samples such is a difference of 4 variances / 100, where the errors of the best one are white."""
+    costs = 1 + np.array([9.0, 0.3, 0.05, 0.03, 0.0, 0.02, 0.05, 9.0])
+    assert spread(0.5, costs) == pytest.approx(0.1)  # of .4, .5, .6
+    assert spread(0.5, costs, told=1000.0) == pytest.approx(0.025)  # a quarter of a candidate, at least
+    assert spread(0.5, costs, told=10.0) == pytest.approx(0.25)  # from .2 to .7
+    assert spread(0.5, costs, told=0.0) == pytest.approx(0.35)  # from .1 to .8
+    assert spread(0.8, costs) == pytest.approx(0.2)  # from .4 to D_hat
+    assert spread(0.14, costs) == spread(0.87, costs) == pytest.approx(0.8)  # at a bound: nothing is known
+
+
+@given(
+    st.floats(0.2, 0.8), st.lists(st.floats(1.0, 20.0), min_size=8, max_size=8), st.floats(0.0, 1e4), st.floats(0, 1e6)
+)
+def test_the_spread_grows_with_the_age_of_what_the_samples_told_and_falls_with_their_number(D_hat, costs, told, age):
+    now, old, oldest = (spread(D_hat, costs, told=told, age=a) for a in (0.0, age, 1e9))
+    assert now == spread(D_hat, costs, told=told, age=100.0) <= old <= oldest == pytest.approx(0.4)
+    assert spread(D_hat, costs, told=2 * told) <= now

@@ -107,6 +107,11 @@ class Observer(ABC):
 
     @property
     @abstractmethod
+    def filter(self) -> Any:
+        """The extended Kalman filter of the same outputs and offsets: an observer of the delay takes its gains."""
+
+    @property
+    @abstractmethod
     def follow(self) -> Kernel:
         """npred.prediction.delays.problem.FOLLOW: the memory a step on, by the inputs that act meanwhile."""
 

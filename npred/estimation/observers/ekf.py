@@ -72,6 +72,10 @@ class EKF(Observer):
             raise ConfigError(f"EKF: R expected variances above 0, got {self.R.tolist()}; give the square of the noise")
         self.settings = np.concatenate([self.R, factors(self.Q).ravel()])
 
+    @property
+    def filter(self) -> "EKF":
+        return self
+
     def start(self) -> np.ndarray:
         return np.concatenate([self.X0, np.zeros(self.plant.m), factors(self.P0).ravel()])
 
@@ -99,11 +103,20 @@ class EKF(Observer):
 
     @cached_property
     def correct(self) -> Kernel:
+        return self._correct(gains=False)
+
+    @cached_property
+    def correct_with_gains(self) -> Kernel:
+        """The same on a memory that has room for the gain (size, l) at its end, which it writes there."""
+        return self._correct(gains=True)
+
+    def _correct(self, gains: bool) -> Kernel:
         n, of = self.plant.n, Formulas(self.plant, ())
         x = self.plant.stopped(of.trace.vector("x", n), tape.M)  # a state stays within the plant's state_bounds
         stop = of.function([*x], [vector("x", n, "1")], {"y": n}, "1")
         functions = {"OUTPUT": self.output_function(of), "STOP": stop}
-        return made("ekf_correct", problem.CORRECT_BY, skeleton("ekf_correct.h"), functions, self._counts)
+        sizes = self._counts | {"GAINS": int(gains)}
+        return made("ekf_correct", problem.CORRECT_BY, skeleton("ekf_correct.h"), functions, sizes)
 
     @property
     def _counts(self) -> dict[str, int]:

@@ -9,6 +9,7 @@ import numpy as np
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.estimation.observers.base import SIGMAS, Observer
+from npred.estimation.observers.ekf import EKF
 from npred.formulas import Array, Value, programs, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
@@ -68,6 +69,10 @@ class Luenberger(Observer):
         self.L = smallest_gain(A, C, self.sizes.dy, self.rate)
         fastest = max(np.abs(np.linalg.eigvals(matrix)).max() for matrix in (A, A - self.L @ C, self.L @ C))
         self.settings = np.concatenate([[STEP / fastest], self.L.ravel(), (self.sizes.dy / SIGMAS) ** 2])
+
+    @cached_property
+    def filter(self) -> EKF:
+        return EKF(self.plant, offset=self.offset, X0=self.X0, outputs=self.outputs if self._selects else None)
 
     def start(self) -> np.ndarray:
         w = self.measured(self.X0)

@@ -345,8 +345,9 @@ void npred_get_status(const npred_controller *self, npred_status *status)
     status->D_hat = self->saved.D_hat[0];
     status->D_hat_spread = NAN;
 #if WATCHES
-    status->D_hat_spread = undecided(the_shape, the_law, (npred_real *)self->saved.observer);
+    status->D_hat_spread = undecided(the_shape, the_law, (npred_real *)self->saved.observer, self->saved.D_hat, 0);
 #endif
+    status->at_bound = status->D_hat <= (npred_real)NPRED_D_HAT_FIRST || status->D_hat >= (npred_real)NPRED_D_HAT_LAST;
     status->age = isnan(age) ? (double)INFINITY : age;
     memcpy(status->innovation, self->innovation, sizeof status->innovation);
 #if OFFSETS

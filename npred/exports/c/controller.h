@@ -91,7 +91,8 @@ typedef struct {
 
 #if READS_COMMANDS
 /* The result of the last call.
- * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that fit the samples as well.
+ * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that it may be taken for.
+ * at_bound: 1 if D_hat stands at a bound of its law: the delay may lie outside.
  * age: the age of the last sample that was used, infinity before the first.
  * innovation: the last sample minus the model's value.
  * late: number of samples that were too old, or came after a newer one. They were not used.
@@ -105,7 +106,7 @@ typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;
     npred_real innovation[NPRED_N_OUTPUTS], offset[NPRED_M_INPUTS];
-    int32_t late, refused, missed, renewed, handed_over, fallback, filtered, unkept;
+    int32_t late, refused, missed, renewed, handed_over, fallback, filtered, unkept, at_bound;
     npred_real kept;
 } npred_status;
 #endif

@@ -294,6 +294,9 @@ static void read_status(Instance *self)
     values[AT_AGE] = isfinite(status.age) ? status.age : -1.0;
     values[AT_LATE] = status.late;
     values[AT_REFUSED] = status.refused;
+#ifdef AT_AT_BOUND
+    values[AT_AT_BOUND] = status.at_bound;
+#endif
 #ifdef AT_SPREAD
     values[AT_SPREAD] = (double)status.D_hat_spread;
 #endif

@@ -64,9 +64,12 @@ SPARE static inline void forget(Shape d, int output_count, Clock c)
     fill(output_count, NAN, c.refused);
 }
 
-/* Restart the observer of the delay at the next sample. */
+/* Restart the observer of the delay at the next sample, unless it has estimates of the state of its own. */
 static inline void forget_delay(const Settings *s, State *z, Clock c)
 {
+    if (s->judges_outputs) {
+        return;
+    }
     fill(s->observer_count, NAN, z->observer);
     c.stamp[TICK] = NAN;
 }
@@ -241,7 +244,6 @@ static inline int replace_filter(Shape d, double taken, double t, double gate, d
     copy(s->output_count, innovation, z->innovation);
     copy(s->output_count, fate, z->fate);
     renew(d, taken, filter, s, z);
-    forget_delay(s, z, c);
     return all;
 }
 
@@ -318,8 +320,8 @@ static inline int compare_state(Shape d, double taken, double gate, Moment now, 
     return used ? USED : FAR;
 }
 
-/* Use a sample that was taken at a position, unless it is too far from the expected one: then it is refused. Returns 1 if
- * it is used; then `base` is the state there. */
+/* Use a sample that was taken at a position, unless it is too far from the expected one: then it is refused. Returns which
+ * of both, of outputs maybe both, or 0 for a sample without a number; where it is used, `base` is the state there. */
 static inline int learn(Shape d, double taken, Moment now, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
@@ -339,21 +341,23 @@ static inline int learn(Shape d, double taken, Moment now, const Parts *q, const
         c.stamp[BASE_AT] = c.stamp[SAMPLE_AT] = taken;
         c.stamp[RENEWED_AT] = isnan(c.stamp[RENEWED_AT]) ? taken : c.stamp[RENEWED_AT];
     }
-    return what & USED;
+    return what;
 }
 
-/* X_hat from the model's expectation and, if one came, from a sample of that age. Returns 1 if the sample is used. */
+/* X_hat from the model's expectation and, if one came, from a sample of that age. Returns what `learn`
+ * does, 0 for one that comes late. */
 static inline int sense(Shape d, Moment now, int came, double age, const Parts *q, const Settings *s, State *z, double *work)
 {
     const Clock c = clock_of(d, z->clock);
     const double taken = now.at - age, *push = s->offsets ? z->filter + d.n : NULL;
     const int late = age > s->oldest || taken <= c.stamp[SAMPLE_AT] + ROUNDING || taken < c.stamp[BASE_AT] - ROUNDING;
-    int used = 0;
+    int what = 0, used;
     if (came && late) {
         c.stamp[LATE] += 1.0;
     } else if (came) {
-        used = learn(d, taken, now, q, s, z, work);
+        what = learn(d, taken, now, q, s, z, work);
     }
+    used = what & USED;
     copy(d.n, used ? c.base : z->expected, z->X_hat);
     if (s->pulls && c.stamp[BASE_AT] <= now.at && (used || all_finite(d.n, z->expected))) {
         copy(s->filter_count, z->filter, work);
@@ -364,7 +368,7 @@ static inline int sense(Shape d, Moment now, int came, double age, const Parts *
     }
     copy(d.n, z->X_hat, c.now);
     c.stamp[NOW_AT] = now.at;
-    return used;
+    return what;
 }
 
 /* Bring the observer of the delay, which steps at the control steps of the history, up to the sample that was used.
@@ -375,8 +379,8 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
     const Clock c = clock_of(d, z->clock);
     const INDEX newest = step_of(now.at), nearest = step_of(taken + 0.5), at = nearest < newest ? nearest : newest;
     const INDEX last = used ? at : newest - (INDEX)c.stamp[LAG];
-    const double gap = ((double)at - taken) * s->dt, *push = s->offsets ? z->filter + d.n : NULL;
-    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *rest = share + d.m;
+    const double gap = (double)at - taken, *push = s->offsets ? z->filter + d.n : NULL;
+    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m, *reading = share + d.m, *rest = reading + s->output_count + 1;
     if (used && !isnan(c.stamp[TICK]) && !all_finite(s->observer_count, z->observer)) {
         forget_delay(s, z, c);
     }
@@ -389,15 +393,20 @@ static inline void find_delay(Shape d, Moment now, int used, double taken, const
     }
     for (INDEX i = step_of(c.stamp[TICK]) + 1; i <= last; i++) {
         fill(d.n, NAN, z->Y);
-        if (used && i == at) {
+        if (s->judges_outputs) {
+            fill(s->output_count, NAN, reading);
+            copy(used && i == at ? s->output_count : 0, z->sample, reading);
+            reading[s->output_count] = -gap;
+        } else if (used && i == at) {
             copy(d.n, c.base, z->Y);
             if (gap != 0.0) {
                 reached(d, 0, taken, taken + 1.0, s->dt, c.D, z->held, push, U0, U1, share);
                 fill(d.m, 1.0, share);
-                q->model(d, z->Y, U0, U1, share, gap, time_at(now, taken), s->p, rest);
+                q->model(d, z->Y, U0, U1, share, gap * s->dt, time_at(now, taken), s->p, rest);
             }
         }
-        q->observe(d, i, s->dt, z->Y, z->held, time_at(now, (double)i), s->p, s->law, z->observer, z->D_hat, work);
+        q->observe(d, i, s->dt, s->judges_outputs ? reading : z->Y, z->held, time_at(now, (double)i), s->p, s->law,
+                   z->observer, z->D_hat, rest);
         c.stamp[TICK] = (double)i;
     }
 }
@@ -451,14 +460,14 @@ static inline int compute_recalled(Shape d, double t, int came, double age, cons
     const Moment now = {clock_of(d, z->clock).stamp[AT], t, s->dt};
     const INDEX k = step_of(now.at);
     const int bad = came && !q->correct && !all_finite(d.n, z->Y);
-    int used;
+    int what;
     double D_hat;
     for (int i = 0; i < s->output_count && q->correct; i++) {
         z->sample[i] = isfinite(z->sample[i]) ? z->sample[i] : NAN;
     }
-    used = sense(d, now, came && !bad, age, q, s, z, work);
-    if (q->observe && !bad) {
-        find_delay(d, now, used, now.at - age, q, s, z, work);
+    what = sense(d, now, came && !bad, age, q, s, z, work);
+    if (q->observe && !bad) { /* one that judges by outputs judges those of refused samples too */
+        find_delay(d, now, s->judges_outputs ? what : what & USED, now.at - age, q, s, z, work);
     }
     if (!s->watched && (bad || !all_finite(d.n, z->X_hat))) {
         return bad ? MEASUREMENT_NOT_FINITE : STATE_UNKNOWN;

@@ -1,6 +1,7 @@
 /* CORRECT_BY, of an extended Kalman filter; its memory is that of ekf_follow.h. One output after the other, none of which
  * needs an inverse, by Bierman's update of the factors [Factorization Methods, 1977, ch. V]. All are linearised at the
- * state before the sample, so that the result is that of the formula with matrices. `law` begins with R. */
+ * state before the sample, so that the result is that of the formula with matrices. `law` begins with R. With GAINS the
+ * memory ends with what each innovation moved, (SIZE, OUTPUTS). */
 /* The variance of output i, h z, with h its derivative by z: R_i + h P h'; f = U' h' and v = D f, on the way. */
 static inline double PART(_variance)(const double *h, double R, const double *factors, double *f, double *v)
 {
@@ -42,6 +43,12 @@ static inline void KERNEL(Shape d, const double *Y, double t, const double *p, d
 {
     double *z = memory, *factors = memory + N + M, y[OUTPUTS], by_x[OUTPUTS * N], h[OUTPUTS * SIZE] = {0.0};
     double moved[SIZE] = {0.0}, f[SIZE], v[SIZE], K[SIZE];
+#if GAINS
+    double *gains = factors + SIZE * SIZE;
+    for (int c = 0; c < SIZE * OUTPUTS; c++) {
+        gains[c] = 0.0;
+    }
+#endif
     (void)d, (void)work;
     OUTPUT(z, t, p, y, by_x);
     for (int i = 0; i < OUTPUTS; i++) {
@@ -63,6 +70,17 @@ static inline void KERNEL(Shape d, const double *Y, double t, const double *p, d
         for (int c = 0; c < SIZE; c++) {
             moved[c] += K[c] * rest;
         }
+#if GAINS
+        for (int j = 0; j <= i; j++) {
+            double left = i == j ? 1.0 : 0.0;
+            for (int c = 0; c < SIZE; c++) {
+                left -= h[i * SIZE + c] * gains[c * OUTPUTS + j];
+            }
+            for (int c = 0; c < SIZE; c++) {
+                gains[c * OUTPUTS + j] += K[c] * left;
+            }
+        }
+#endif
     }
     for (int c = 0; c < SIZE; c++) {
         z[c] += moved[c];

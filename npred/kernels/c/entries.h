@@ -10,7 +10,9 @@ void replaced(Shape d, State *z, const double *U)
     replace(d, z, U);
 }
 
-double spread(Shape d, const double *law, double *memory)
+void spreads(Shape d, const double *law, double *memory, const double *D_hat, double *out)
 {
-    return undecided(d, law, memory);
+    for (int l = 0; l < d.lanes; l++) {
+        out[l] = undecided(d, law, memory, D_hat, l);
+    }
 }
