@@ -2,8 +2,13 @@
 
 import ctypes
 import functools
+import os
+import re
 import shutil
 import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,12 +44,28 @@ COMPILED = {}  # libraries by their text: tests of one controller share one
 sources = functools.cache(c_controller.sources)
 
 
-def find_nothing(folder, file, *flags, compilers=("gcc", "clang")):
-    """A test fails for a warning that gcc, or clang where there is one, has for a C file."""
-    for compiler in filter(shutil.which, compilers):
-        command = [compiler, *flags, "-Werror", "-fsyntax-only", file]
+def compilers():
+    """The C compilers of this machine, as the words of commands by their names: gcc, clang, the newest clang-N, zig."""
+    found = {name: (name,) for name in ("gcc", "clang") if shutil.which(name)}
+    files = [path for folder in os.get_exec_path() for path in Path(folder).glob("clang-*")]
+    numbered = [path for path in files if re.fullmatch(r"clang-\d+", path.name)]
+    if numbered:
+        newest = max(numbered, key=lambda path: int(path.name.removeprefix("clang-")))
+        if "clang" not in found or Path(shutil.which("clang")).resolve() != newest.resolve():
+            found[newest.name] = (str(newest),)
+    return found | ({"zig": (sys.executable, "-m", "ziglang", "cc")} if find_spec("ziglang") else {})
+
+
+COMPILERS = compilers()
+
+
+def find_nothing(folder, file, *flags, names=("gcc", "clang")):
+    """A test fails for a warning that one of these compilers, where it is there, has for a C file."""
+    for name in filter(COMPILERS.get, names):
+        only = ["-c", "-o", "found_nothing.o"] if name == "zig" else ["-fsyntax-only"]  # which zig does not know
+        command = [*COMPILERS[name], *flags, "-Werror", *only, file]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
-        assert (done.returncode, done.stderr) == (0, ""), compiler
+        assert (done.returncode, done.stderr) == (0, ""), name
 
 
 def library(controller, folder, precision="double"):
@@ -56,7 +77,7 @@ def library(controller, folder, precision="double"):
     if (header, source) in COMPILED:
         return COMPILED[header, source]
     flags = [*FLAGS, *(["-Wdouble-promotion"] if precision == "float" else [])]
-    find_nothing(folder, "sizes.c", *flags, compilers=("clang",))  # gcc compiles it with these flags
+    find_nothing(folder, "sizes.c", *flags, names=("clang",))  # gcc compiles it with these flags
     command = ["gcc", *flags, "-shared", "-fPIC", "sizes.c", "-o", "npred.so", "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")

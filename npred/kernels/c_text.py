@@ -10,7 +10,7 @@ from npred.base.json_files import escaped
 SMALLEST, LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 FUNCTIONS = [
     "sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "fabs", "pow",
-    "asinh", "rint", "floor", "fmod",
+    "asinh", "rint", "floor", "ceil", "fmod", "remainder",
 ]  # fmt: skip
 _NUMBER = re.compile(r"(?<![\w.])(\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)(?![\w.])")
 _HEXADECIMAL = re.compile(r"-?0x[\da-f.]+p[+-]?\d+(?![\w.])")

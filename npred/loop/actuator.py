@@ -2,7 +2,7 @@
 
 The controller holds U over each control step, so the history is piecewise constant and everything here is exact. Rows
 of the ring buffers are control steps: `held[k]` is U on [k dt, (k + 1) dt), `total[k]` the sum of U over the steps
-before k. D (m, B) has one delay per input. The C of it is npred/kernels/c/actuator.h.
+before k. D (m, B) has one delay per input. The C of it is npred/kernels/c/actuator.h and hold.h.
 """
 
 import numpy as np
@@ -12,7 +12,8 @@ from npred.plants.inputs import Past
 
 
 def _kernel(name: str, arguments: str, which: int) -> Kernel:
-    return made(name, arguments, skeleton("history.h"), {}, {"WHICH": which}, before=[skeleton("actuator.h")])
+    before = [skeleton("actuator.h"), skeleton("hold.h")]
+    return made(name, arguments, skeleton("history.h"), {}, {"WHICH": which}, before=before)
 
 
 # u(x, k dt) for the delays D: `u` has the mean over each node's cell, `u_nodes` values at the nodes

@@ -411,3 +411,19 @@ def test_the_page_s_main_loop_runs_as_python_does(tmp_path):
     printed = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True, timeout=60).stdout.split()
     assert printed[-1] == expected[-1] == "warn" and len(printed) == 41
     np.testing.assert_allclose(np.array(printed[:-1], dtype=float), expected[:-1], rtol=1e-11)
+
+
+@pytest.mark.parametrize(("off", "same"), [(0.95e-6, True), (1.5e-6, False)])
+def test_times_a_millionth_of_a_step_off_are_on_the_clock_and_others_are_not(tmp_path, off, same):
+    """Of calls and of samples, as npred.controller has them."""
+    one = controller(MOTOR)
+    regular, called, sampled, run, again = one.fresh(), one.fresh(), one.fresh(), *(
+        InC(library(one, tmp_path), MOTOR) for _ in range(2)
+    )  # fmt: skip
+    for k in range(20):
+        X, t = np.array([0.5, 1.0 + 0.1 * k]), k * DT * (1 + off if k == 9 else 1)
+        U = regular.step(X, t=k * DT, sampled_at=(k - 3) * DT).copy()
+        at = called.step(X, t=t, sampled_at=t - 3 * DT).copy(), sampled.step(X, t=k * DT, sampled_at=(k - 3 - off) * DT)
+        in_c = run.step_at(t, X, t - 3 * DT), again.step_at(k * DT, X, (k - 3 - off) * DT)
+        assert all((code, U_c.tolist()) == (0, other.tolist()) for (code, U_c), other in zip(in_c, at, strict=True))
+    assert (at[1] == U).all() == same

@@ -1,21 +1,15 @@
 """The test inside an exported controller: it moves all, passes in both precisions, and fails for another text."""
 
-import importlib.util
 import subprocess
 
 import numpy as np
 import pytest
 from c_controllers import FLAGS, needs_gcc
-from conftest import HERE
+from self_tested import TWELVE, mutants
 
 import npred
 from npred.exports import c_controller, self_test
 
-SPEC = importlib.util.spec_from_file_location("self_test_mutants", HERE.parent / "benchmarks" / "self_test_mutants.py")
-assert SPEC is not None and SPEC.loader is not None
-mutants = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(mutants)
-TWELVE = mutants.controllers()
 pytestmark = needs_gcc
 
 

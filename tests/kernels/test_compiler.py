@@ -1,18 +1,26 @@
 """The compiler: threads that want the same library, texts that do not compile, machines without a compiler."""
 
 import ctypes
+import os
 import re
+import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
+from c_controllers import COMPILERS, needs_gcc
+from conftest import HERE
 
 from npred.base.errors import MissingError, NpredError
 from npred.exports import c_files
 from npred.kernels import cache, compiler
 
+# Of the size of a signal: what compilers may differ by, which contract other sums and products.
+ROUNDED = {"Cart": 1e-9}  # has a filter, whose slopes are differences of rollouts: rounding errors over 1e-4
+OTHERWISE = 1e-13
 TEXT = "double twice(double a) {{ return {} * a; }}"
 
 
@@ -120,3 +128,26 @@ def test_libraries_that_do_not_link_give_way_to_the_standard_ones(monkeypatch):
     monkeypatch.setattr(compiler, "_libraries", lambda: ("-nostdlib", "-Wl,-z,defs"))
     text = "#include <math.h>\ndouble twice(double a) { return sin(a) + a; }"
     assert twice(text, 0.0) == 0.0
+
+
+@pytest.fixture(scope="module")
+def under_gcc(tmp_path_factory):
+    return found_by(COMPILERS["gcc"], tmp_path_factory.mktemp("gcc"))
+
+
+def found_by(words, folder):
+    """The results of loops that have all parts, under a compiler."""
+    command = [sys.executable, HERE / "all_loops.py", folder / "loops.npz", "", *words]
+    subprocess.run(command, env=os.environ | {"NPRED_QUIET": "1"}, check=True, timeout=600)
+    return dict(np.load(folder / "loops.npz"))
+
+
+@pytest.mark.slow
+@needs_gcc
+@pytest.mark.parametrize("name", [name for name in COMPILERS if name != "gcc"])
+def test_loops_under_another_compiler_are_those_under_gcc(under_gcc, tmp_path, name):
+    for signal, values in found_by(COMPILERS[name], tmp_path).items():
+        expected = under_gcc[signal]
+        assert np.isfinite(expected).all() and (np.ptp(expected) > 0 or signal.endswith("D_hat"))
+        share = ROUNDED.get(signal.split()[1], OTHERWISE)
+        np.testing.assert_allclose(values, expected, rtol=0, atol=share * np.abs(expected).max(), err_msg=signal)

@@ -1,6 +1,7 @@
 """Formulas and loops in C: every operation is that of the interpreter, lane for lane, edges are those of IEEE 754."""
 
 import ctypes
+import ctypes.util
 import math
 import re
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from c_controllers import LANE_BY_LANE, find_nothing, needs_gcc
+from conftest import HERE
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,7 +21,7 @@ from npred.formulas.tape import OPS, M, Tape
 from npred.kernels import compiler, formula
 from npred.kernels.c_text import single
 from npred.kernels.formula import function, vector
-from npred.kernels.kernel import Failure, Shape, address, callback, made, skeleton
+from npred.kernels.kernel import FOLDER, Failure, Shape, address, callback, made, skeleton
 from npred.loop import signals
 from npred.loop.engine import LOOP, ON_A_CLOCK
 
@@ -110,6 +112,17 @@ def test_in_single_precision_types_numbers_and_functions_change_and_nothing_else
     )
 
 
+def test_in_single_precision_no_function_of_the_library_stays_double():
+    """One that did would compute in double, and clang says so."""
+    texts = [*(path.read_text() for path in FOLDER.glob("*.h")), *formula.TEXTS.values()]
+    code = re.sub(r"/\*.*?\*/", "", "\n".join(texts), flags=re.DOTALL)
+    library = ctypes.CDLL(ctypes.util.find_library("m"))
+    called = set(re.findall(r"\b\w+(?=\()", code)) - {"isnan", "isinf"}  # macros of either type
+    doubles = {name for name in called if hasattr(library, f"{name}f")}
+    assert {"sin", "ceil"} <= doubles
+    assert {name: single(f"{name}(x)") for name in doubles} == {name: f"{name}f(x)" for name in doubles}
+
+
 TURNS = """
 void entry(int count, const double *x, double *y)
 {
@@ -194,34 +207,6 @@ def test_the_loops_over_lanes_of_shipped_plants_are_vectorised(name, tmp_path: P
 
 
 STRICT = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Wconversion"]
-RUN = """
-import ctypes, sys
-from npred.kernels import compiler
-compiler.FLAGS = (*compiler.FLAGS, "-fsanitize=undefined", "-fno-sanitize-recover=all")
-import numpy as np
-import npred
-for name, options in {
-    "scalar": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayAdaptation(bounds=(0.1, 1.0))},
-    "van_der_pol": {"D": 0.5, "D_hat": 0.4, "adaptation": npred.DelayObserver(bounds=(0.1, 1.0)), "actuator": "history",
-                    "measurement": npred.Measurement(noise=[0.1, 0.0], relative_noise=0.01, bias=0.1, period=0.1,
-                                                     resolution=[0.0, 0.01], jitter=0.5, delay=0.04, drop=0.1)},
-    "unicycle": {"D": 0.5, "D_hat": 0.4, "actuator": "history"},
-    "slow_unicycle": {"D": lambda t: 0.5 + 0.1 * np.sin(9 * t), "D_hat": 0.5, "actuator": "history", "u0": "law",
-                      "timing": npred.Timing(jitter=0.4, lost=0.2, overrun=0.2, tells=True),
-                      "observer": npred.observers.EKF(npred.plant("slow_unicycle"), offset=True),
-                      "watchdog": npred.Watchdog(0.1, "zero", jump=0.1),
-                      "measurement": npred.Measurement(noise=0.01, period=0.05, jitter=0.5, delay=0.04, drop=0.3)},
-    "unicycle_time_delay": {},
-    "chemostat": {"D": lambda t: 0.5 + 0.1 * np.sin(t), "D_hat": 0.5, "disturbance": lambda t: [0.01]},
-}.items():
-    plant = npred.plant(name)
-    low, high = np.array([plant.box.get(state, (-0.1, 0.1)) for state in plant.states]).T
-    model = npred.guarded(npred.predictor(plant, "heun", nx=21), 0.01)
-    X0 = low + (high - low) * np.linspace(0.4, 0.6, 3)[:, None]
-    loop = npred.simulate(plant, model, X0=X0, t_end=2.0, dt=0.02, **options)
-    assert loop.X.shape[0] == 3, name
-print("done")
-"""
 
 
 @needs_gcc
@@ -238,8 +223,10 @@ def test_strict_compilers_find_nothing_in_the_loop(tmp_path, files):
 def test_no_step_of_a_loop_is_undefined(tmp_path, monkeypatch):
     monkeypatch.setenv("NPRED_CACHE", str(tmp_path))
     monkeypatch.setenv("NPRED_QUIET", "1")
-    done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+    target, flags = tmp_path / "loops.npz", "-fsanitize=undefined -fno-sanitize-recover=all"
+    done = subprocess.run([sys.executable, HERE / "all_loops.py", target, flags], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert {values.shape[0] for values in np.load(target).values()} == {3}
 
 
 def called(function):

@@ -66,6 +66,32 @@ def test_ideal_timing_by_stamps_is_the_plain_step_to_the_bit(law):
     assert np.abs(truth.X).max() < 0.1
 
 
+def test_a_call_a_millionth_of_a_step_off_is_on_the_regular_clock_to_the_bit():
+    """A clock that counts in such steps, as one of microseconds does for a call each second, is regular."""
+    plain, stamped, rng = motor(), motor(), np.random.default_rng(0)
+    for k in range(50):
+        X, off = np.array([0.5, 0.1 * np.sin(k)]), 0.95e-6 * DT * rng.uniform(-1, 1, 2)
+        assert (plain.step(X) == stamped.step(X, t=k * DT + off[0], sampled_at=k * DT + off[0] - abs(off[1]))).all()
+        assert plain.t == stamped.t
+
+
+def test_a_clock_that_runs_fast_by_more_than_that_is_followed_call_by_call():
+    """It drifts: a controller that kept its own time would soon take a command for one of another control step."""
+    followed, rate = motor(), 1 + 1.5e-6
+    for k in range(50):
+        followed.step([0.5, 0.0], t=k * DT * rate)
+        assert followed.t - DT == pytest.approx(k * DT * rate, abs=1e-9 * DT)
+
+
+@pytest.mark.parametrize(("off", "same"), [(0.95e-6, True), (1.5e-6, False)])
+def test_a_sample_is_as_old_as_its_stamp_says_to_a_millionth_of_a_step(off, same):
+    whole, other = motor(), motor()
+    for k in range(20):
+        X = np.array([0.5, 1.0])
+        U = whole.step(X, t=k * DT, sampled_at=(k - 3) * DT), other.step(X, t=k * DT, sampled_at=(k - 3 - off) * DT)
+    assert (U[0] == U[1]).all() == (whole.X_hat == other.X_hat).all() == same
+
+
 def test_the_clock_may_begin_at_any_time():
     plain, stamped = motor(), motor()
     for k in range(50):

@@ -286,6 +286,14 @@ def test_a_simulated_loop_is_that_of_a_controller_which_is_set():
     assert np.ptp(run.U[598:600]) < 1e-9 and abs(run.U[600] - run.U[599]) > 1.0
 
 
+@pytest.mark.parametrize(("after", "first"), [(-0.4, 3), (0.0, 3), (0.95e-6, 3), (1.5e-6, 4)])
+def test_a_set_point_begins_with_the_control_step_that_its_time_is_on_or_with_the_next(after, first):
+    """0.03 s are 3 steps, though 0.03 / 0.01 is less; a time is on a step that is a millionth of a step away."""
+    course = {"aim": ([(3 + after) * LOOP["dt"]], [-0.8])}
+    free, run = (simulated(t_end=0.1, setpoints=course) for course in (None, course))
+    assert np.flatnonzero((run.U != free.U).any(axis=-1))[0] == first
+
+
 def test_distances_of_a_simulated_loop_are_those_to_the_set_point_of_the_time():
     run = simulated(setpoints=COURSE)
     ends = run.X[[599, 1199, -1], 0]

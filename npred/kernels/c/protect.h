@@ -47,11 +47,13 @@ static INLINED void PART(_rooms)(const int count, const int side, const double *
                                  Rollouts *r)
 {
     const double decay = s[DECAYS + i], returned = 1.0 - s[RAMPS + i];
+    const double halfway = sqrt((i > 0 ? s[DECAYS + i - 1] : 1.0) * decay); /* in the middle of the step */
     for (int a = 0; a < K * count; a++) {
         double *const room = r->room + (i * ROOMS + 2 * (a / count)) * count + a % count, size = s[SIZES + a / count];
         const double dip = r->below[a] > 0.0 && decay == 1.0 ? DIP + 0.1 * r->below[a] / size : 0.0;
         const double reserve = side ? TIGHT - r->spent[a] * returned : SLACK * (returned - 1.0) - dip;
         const double floor = s[MARGIN] - r->below[a] * decay + reserve * size;
+        const double floor_inside = s[MARGIN] - r->below[a] * halfway + reserve * size;
         const double rise = 0.5 * (end[a] - before[a]), bend = end[a] + before[a] - 2.0 * middle[a];
         const double vertex = bend > fabs(rise) ? middle[a] - 0.5 * rise * rise / bend : end[a];
         const double below = larger(bend, 0.0) / 8.0;
@@ -59,7 +61,7 @@ static INLINED void PART(_rooms)(const int count, const int side, const double *
         const double inside = middle[a] - (side ? below : 0.0);
         before[a] = end[a];
         room[0] = end[a] == end[a] ? (at_end - floor) / size : OVERFLOWN;
-        room[count] = end[a] == end[a] ? (inside - floor) / size : OVERFLOWN;
+        room[count] = end[a] == end[a] ? (inside - floor_inside) / size : OVERFLOWN;
     }
 }
 
