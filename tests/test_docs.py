@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import pytest
 import typer.main
 from conftest import HERE, process_environment
+from docs_pages import dead
 from typer.testing import CliRunner
 
 from npred.cli import app
@@ -274,6 +275,7 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "docs", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, env=process_environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+    assert dead(tmp_path) == []
     commands = (tmp_path / "reference" / "commands.html").read_text()
     assert "--set train.deeponet.width" in commands and not re.search(r"–[a-z]", commands)
     python = (tmp_path / "reference" / "python.html").read_text()

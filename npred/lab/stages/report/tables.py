@@ -112,7 +112,7 @@ def loops(evaluated: Evaluated) -> Table:
     in_loop = [scores.in_loop if each.adapts else None for each, scores in evaluated.models.items()]
     checked = f"largest error of the prediction in {evaluated.in_loop.loops} other loops"
     if evaluated.in_loop.D is not None:
-        checked += ", in which D̂ = D throughout, from t = 2D on: before, the jump of u at the start is in u, and the error is larger"
+        checked += ", in which D̂ = D throughout, from t = 2D on: before, u has the jump of its start, which costs more"
     radii = {"median": "radius, median", "worst": "worst", "predicted": "from ε_{κ}"}
     columns = [
         Column("predictor", [each.label for each in evaluated.models]),
