@@ -4,8 +4,8 @@
 
 Commands are the lines of blocks marked `sh` and the words in backticks that begin with `npred `, `make ` or
 `python benchmarks/`. Left out are those with an argument in capital letters, names of a command without one, and those
-that install, delete, or need a cluster. Each runs once, in a copy of the repository's files, with the store NPRED_STORE
-or artifacts/. The figures of a command are the numbers with a decimal point or an exponent in its paragraph, list item
+that install, delete, or need a cluster. Each runs once, in a copy of the repository's files and of the page's, with
+the store NPRED_STORE or artifacts/. The figures of a command are the numbers with a decimal point or an exponent in its paragraph, list item
 or table row, and in what follows before the next command or heading. Each is looked for in what is printed:
 
     reprinted    a number that rounds to it, or for a timing (behind it a unit as µs, ms, min, MB, or x) within 25 %
@@ -37,6 +37,7 @@ LEFT = re.compile(r"make (-C \S+ )?(all|install|dev|clean|constraints|test|docs|
 OPEN = re.compile(r"(?<![\w.:-])[A-Z][A-Z_]+(?![\w=.])|…|\.\.\.")  # an argument that the reader fills in
 NUMBER = re.compile(r"(?<![\w.,])[-−+]?(?:\d+\.?\d*|\.\d+)(?:e[-−+]?\d+)?", re.IGNORECASE)
 TIMING = re.compile(r"\s*(?:\|?\s*)?(?:ns|µs|us|ms|min|minutes|seconds|hours|kB|MB|GB|x\b|times\b|%? of the time)")
+FILE = re.compile(r"^```\w*\n(# (\w+\.(?:py|toml))\n.*?)^```", re.MULTILINE | re.DOTALL)  # a block that is a file
 WORTH = re.compile(r"[.e]", re.IGNORECASE)  # whole numbers stand everywhere: settings, counts, equations
 
 
@@ -149,7 +150,10 @@ def main() -> None:
     outcomes, totals = dict[str, tuple[int, str]](), Counter[str]()
     with tempfile.TemporaryDirectory() as scratch:
         copied(Path(scratch))
-        for path, each in [(page, group) for page in asked.pages for group in named(page.read_text(encoding="utf-8"))]:
+        texts = {page: page.read_text(encoding="utf-8") for page in asked.pages}
+        for path, each in [(page, group) for page, text in texts.items() for group in named(text)]:
+            for text, name in FILE.findall(texts[path]):
+                (Path(scratch) / name).write_text(text, encoding="utf-8")
             chosen = [command for command in each.commands if re.search(asked.only, command)]
             printed: list[float] = []
             for command in chosen:
