@@ -4,9 +4,10 @@
 
 Commands are the lines of blocks marked `sh` and the words in backticks that begin with `npred `, `make ` or
 `python benchmarks/`. Left out are those with an argument in capital letters, names of a command without one, and those
-that install, delete, or need a cluster. Each runs once, in a copy of the repository's files and of the page's, with
-the store NPRED_STORE or artifacts/. The figures of a command are the numbers with a decimal point or an exponent in its paragraph, list item
-or table row, and in what follows before the next command or heading. Each is looked for in what is printed:
+that install, delete, or need a cluster. Each runs once, in a copy of the repository's files and those of the page, with
+the store NPRED_STORE or artifacts/. The figures of a command are the numbers with a decimal point or an exponent in its
+paragraph, list item or table row, and in what follows before the next command or heading. Each is looked for in what
+is printed:
 
     reprinted    a number that rounds to it, or for a timing (behind it a unit as µs, ms, min, MB, or x) within 25 %
     differs      the nearest printed number is within a factor of 2
