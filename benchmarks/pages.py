@@ -39,6 +39,7 @@ OPEN = re.compile(r"(?<![\w.:-])[A-Z][A-Z_]+(?![\w=.])|…|\.\.\.")  # an argume
 NUMBER = re.compile(r"(?<![\w.,])[-−+]?(?:\d+\.?\d*|\.\d+)(?:e[-−+]?\d+)?", re.IGNORECASE)
 TIMING = re.compile(r"\s*(?:\|?\s*)?(?:ns|µs|us|ms|min|minutes|seconds|hours|kB|MB|GB|x\b|times\b|%? of the time)")
 FILE = re.compile(r"^```\w*\n(# (\w+\.(?:py|toml))\n.*?)^```", re.MULTILINE | re.DOTALL)  # a block that is a file
+RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 WORTH = re.compile(r"[.e]", re.IGNORECASE)  # whole numbers stand everywhere: settings, counts, equations
 
 
@@ -77,12 +78,17 @@ def commands(block: str) -> list[str]:
     return [words for words in found if not OPEN.search(words) and not LEFT.match(words)]
 
 
+def level(text: str) -> str:
+    """A text with 3.4e-3 for 3.4·10⁻³."""
+    return re.sub(r"·10([⁻⁰¹²³⁴-⁹]+)", lambda power: "e" + power[1].translate(RAISED), text)
+
+
 def figures(block: str) -> list[tuple[str, bool]]:
     """The numbers of a block, outside commands, links and code of other languages, with whether they are timings."""
     if re.match(r"```(?!text|console)", block):
         return []
     block = re.sub(r"^```.*$", "", block, flags=re.MULTILINE)
-    plain = re.sub(r"\]\([^)]*\)|https?:\S+|arXiv:\S+", "]", re.sub(r"`[^`]*`", "`", block.replace("**", "")))
+    plain = re.sub(r"\]\([^)]*\)|https?:\S+|arXiv:\S+", "]", re.sub(r"`[^`]*`", "`", level(block).replace("**", "")))
     found = [(each[0], bool(TIMING.match(plain, each.end()))) for each in NUMBER.finditer(plain)]
     return [(word, timing) for word, timing in found if WORTH.search(word.rstrip("."))]
 
@@ -164,7 +170,7 @@ def main() -> None:
                 said = {0: "", 3: "", 124: "  TOO LONG"}.get(code, f"  FAILED with {code}: {text.strip()[-150:]!r}")
                 print(f"{os.path.relpath(path, ROOT)}:{each.line}  {command}{said}", flush=True)
                 totals["failed"] += code not in (0, 3, 124)  # 3: an answer is no
-                printed += [value(number) for number in NUMBER.findall(text)] if code in (0, 3) else []
+                printed += [value(number) for number in NUMBER.findall(level(text))] if code in (0, 3) else []
             sides = [(verdict(*figure, printed), figure[0]) for figure in each.figures if printed]
             totals.update(side for side, _ in sides)
             for side in ("reprinted", "differs", "not printed"):

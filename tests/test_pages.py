@@ -16,7 +16,7 @@ SPEC.loader.exec_module(pages)
 
 PAGE = """# A page
 
-`npred tune` says 9.9 (`python benchmarks/laws.py`, 2.5 µs; not `python benchmarks/laws.py MODEL`):
+`npred tune` says 9.9 and 3.4·10⁻³ (`python benchmarks/laws.py`, 2.5 µs; not `python benchmarks/laws.py MODEL`):
 
 | a | 1.25e-3 |
 |---|---|
@@ -42,7 +42,7 @@ rest 1.5
 def test_commands_have_the_figures_of_their_paragraph_row_and_what_follows():
     first, second, third = pages.named(PAGE)
     assert first.commands == ["python benchmarks/laws.py"]
-    assert first.figures == [("9.9", False), ("2.5", True), ("1.25e-3", False)]
+    assert first.figures == [("9.9", False), ("3.4e-3", False), ("2.5", True), ("1.25e-3", False)]
     assert second.commands == ["python benchmarks/defaults.py"] and second.figures == [("0.5", False), ("−0.75", False)]
     assert third.commands == ["npred plants check      cart_pole", "make smoke"] and third.figures == [("1.5", False)]
 
