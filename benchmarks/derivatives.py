@@ -95,7 +95,7 @@ def main() -> None:
     for bounds in (None, [[0.0, np.inf]]):
         for name, law in laws.items():
             loops = npred.simulate(
-                plant, rk4, D=1.0, D_hat=FIRST, X0=[0.03, 30.0], t_end=100.0, input_bounds=bounds,
+                plant, rk4, D=1.0, D_hat=FIRST, X0=[0.03, 30.0], t_end=100.0, dt=1 / 300, input_bounds=bounds,
                 adaptation=law(gamma=1000.0, b=1.0, bounds=(0.1, 4.0)),
             )  # fmt: skip
             target = plant.target(loops.t)

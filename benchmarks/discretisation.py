@@ -4,7 +4,7 @@
 
 mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
 tracking: where D_hat of a loop that follows sin t ends.
-order: the error of P(1) against SciPy's DOP853, for u that a loop holds and for a smooth u, and its fitted order.
+order: the error of P(1) of nodes whose inputs a loop gives, and of a smooth u, and its fitted order.
 margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
 published: what two digits of docs/reproduce.md are of.
 delay: what loops lose by fewer and fewer control steps in a known delay.
@@ -73,35 +73,45 @@ def tracking() -> None:
             print(f"X0 = {X0:g}, dt = {dt:g}: {ends}", flush=True)
 
 
-def _acted(plant, u, middle):
-    return lambda s, x: plant.f(x, np.array([u(s, middle)]))
+def _held(plant: Plant, X: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
+    """X (B, n) after the inputs u (B, N), each held for h: a step of RK4 for each, of error 1e-13 here."""
+    for now in np.moveaxis(u[..., None], 1, 0):
+        f = [plant.f(X, now)]
+        for c in (0.5, 0.5, 1.0):
+            f.append(plant.f(X + c * h * f[-1], now))
+        X = X + h / 6 * (f[0] + 2 * f[1] + 2 * f[2] + f[3])
+    return X
 
 
 def order() -> None:
-    """The paper's plant, D = D_hat = 1: a loop from (0.06, 12) after 2 s, dt = 2.5 ms; and u = .05 cos 3x."""
-    plant = npred.plant("activator_repressor")
-    nodes, dt, k = (6, 11, 21, 41), 2.5e-3, 800
+    """The paper's plant, D = D_hat = 1: a loop from (0.06, 12) with dt = 0.5 ms; and u = .05 cos 3x.
 
-    def end(X, u, edges):
-        """X a delay later, u (s) on each piece between the edges."""
-        for low, high in zip(edges, edges[1:], strict=False):
-            X = solve_ivp(_acted(plant, u, (low + high) / 2), (low, high), X, **TIGHT).y[:, -1]
-        return X
-
-    smooth = end(np.array([0.06, 12.0]), lambda s, _: 0.05 * np.cos(3 * s), [0.0, 1.0])
+    Errors of the loop are root mean squares over five times, before 1 s, when the history has the jump of u at t = 0 in
+    it, and after 2 s, when it is smooth. A smooth u comes as its means over cells, as in a loop, and as values.
+    """
+    plant, dt = npred.plant("activator_repressor"), 5e-4
+    N, intervals = round(1 / dt), np.array([10, 20, 40, 80, 160])
+    times = {"jump": [0.113, 0.271, 0.437, 0.619, 0.853], "no jump": [2.113, 2.271, 2.437, 2.619, 2.853]}
+    start, fine = np.array([[0.06, 12.0]]), 20_000
+    smooth = _held(plant, start, 0.05 * np.cos(3 * (np.arange(fine) + 0.5)[None] / fine), 1 / fine)[0]
     for name in ("heun", "rk4"):
-        errors = []
-        for nx in nodes:
-            method = npred.predictor(plant, name, nx)
-            run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=[0.06, 12.0], t_end=2.0, dt=dt)
-            held = run.U[k - 400 : k, 0]
-            pieces = lambda s, middle, held=held: held[int(middle / dt)]  # noqa: E731
-            exact = end(run.X[k], pieces, np.arange(401) * dt)
-            u = 0.05 * np.cos(3 * np.linspace(0, 1, nx))[:, None]
-            errors.append([np.linalg.norm(run.P[k] - exact), np.linalg.norm(method([0.06, 12.0], u, 1.0)[-1] - smooth)])
-        for what, found in zip(("in a loop", "u smooth"), np.array(errors).T, strict=True):
-            slope = -np.polyfit(np.log(np.array(nodes) - 1), np.log(found), 1)[0]
-            print(f"{name:6s} {what:9s}  " + "  ".join(f"{e:.1e}" for e in found) + f"  order {slope:.2f}", flush=True)
+        errors: dict[str, list[float]] = {what: [] for what in ("jump", "no jump", "means", "values")}
+        for nx in intervals + 1:
+            method = npred.predictor(plant, name, int(nx))
+            run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=start[0], t_end=3.0, dt=dt)
+            U = np.concatenate([np.zeros(N), run.U[:, 0]])
+            for what, at in times.items():
+                k = np.round(np.array(at) / dt).astype(int)
+                exact = _held(plant, run.X[k], np.stack([U[i : i + N] for i in k]), dt)
+                errors[what].append(np.sqrt(np.square(run.P[k] - exact).sum(axis=-1).mean()))
+            x = np.linspace(0, 1, nx)
+            low, high = np.clip(x - x[1] / 2, 0, 1), np.clip(x + x[1] / 2, 0, 1)
+            inputs = {"means": (np.sin(3 * high) - np.sin(3 * low)) / 3 / (high - low), "values": np.cos(3 * x)}
+            for what, u in inputs.items():
+                errors[what].append(np.linalg.norm(method(start[0], 0.05 * u[:, None], 1.0)[-1] - smooth))
+        for what, found in errors.items():
+            slope = -np.polyfit(np.log(intervals), np.log(found), 1)[0]
+            print(f"{name:5s} {what:8s} " + "  ".join(f"{e:.1e}" for e in found) + f"  order {slope:.1f}", flush=True)
 
 
 def _squares(x, t, p, M):

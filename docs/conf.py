@@ -14,10 +14,10 @@ project, author, copyright = "npred", "The npred authors", "the npred authors, M
 version = release = npred.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
-extensions += ["docstrings", "mathml", "play", "reference"]  # of docs/extensions
+extensions += ["docstrings", "hosted", "mathml", "play", "reference"]  # of docs/extensions
 myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build", "gallery"]
+exclude_patterns = ["_build", "gallery", "reference/README.md"]
 
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",
@@ -38,7 +38,6 @@ html_theme = "furo"
 html_title = f"npred {release}"
 html_static_path = ["_static"]
 html_css_files = ["npred.css"]
-html_extra_path = ["llms.txt"]
 html_math_renderer = "mathml"
 html_copy_source = html_show_sourcelink = False
 highlight_language = "none"

@@ -11,7 +11,13 @@ from npred.lab.scheduler.runner import Outcome, Runner
 from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
 
-MAP = {"map_D": [0.5, 1.0], "map_D_hat0": [0.8, 1.2, 2.0], "case_t_end": 4.0, "t_end": 3.0}
+MAP = {
+    "map_D": [0.5, 1.0],
+    "map_D_hat0": [0.8, 1.2, 2.0],
+    "case_t_end": 4.0,
+    "t_end": 3.0,
+    "figure_bounds": [[-9.0, 9.0]],
+}
 REDRAW = {"redraw": 0.25}  # rows of two kinds are held out
 BENCH = {"dx": [0.1], "calls": 10, "batches": [1]}
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import pytest
 import typer.main
 from conftest import HERE, process_environment
+from docs_pages import built, dead
 from typer.testing import CliRunner
 
 from npred.cli import app
@@ -274,6 +275,7 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "docs", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, env=process_environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+    assert dead(tmp_path) == []
     commands = (tmp_path / "reference" / "commands.html").read_text()
     assert "--set train.deeponet.width" in commands and not re.search(r"–[a-z]", commands)
     python = (tmp_path / "reference" / "python.html").read_text()
@@ -282,6 +284,18 @@ def test_the_documentation_builds_without_a_warning_and_asks_no_one(tmp_path: Pa
     for page in tmp_path.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|link|iframe)\b[^>]*(?:src|href)=\"(https?:[^\"]+)", page.read_text())
         assert fetched == [], page.name
+
+
+def test_on_paper_no_code_is_cut_and_nothing_lies_on_the_text(browser: Any, tmp_path: Path):
+    pytest.importorskip("furo")
+    page = browser.new_page(viewport={"width": 700, "height": 1000})
+    page.goto(built("identify", "mathml", tmp_path).as_uri())
+    cut = "[...document.querySelectorAll('pre, .table-wrapper')].filter((e) => e.scrollWidth > e.clientWidth).length"
+    assert page.evaluate(cut) > 0  # on a screen they scroll
+    page.emulate_media(media="print")
+    assert page.evaluate(cut) == 0
+    lying = "[...document.querySelectorAll('.skip-to-content, .sidebar-drawer, .toc-drawer, .mobile-header')]"
+    assert page.evaluate(f"{lying}.map((e) => getComputedStyle(e).display)") == ["none"] * 4
 
 
 def test_the_pages_that_llms_txt_names_exist():

@@ -64,23 +64,6 @@ def test_the_version_is_the_same_everywhere_and_has_a_section_in_the_changelog()
 ADDRESS = PROJECT["urls"]["Homepage"]
 
 
-def test_the_address_of_the_repository_is_one_and_what_the_readme_links_to_is_there():
-    """A package index shows the README, where relative links lead nowhere."""
-    text = (ROOT / "README.md").read_text()
-    links = dict(re.findall(r"^\[([^\]]+)\]:\s+(\S+)$", text, re.MULTILINE))
-    assert set(re.findall(r"!?\[[^\]]+\]\[([^\]]+)\]", text)) == set(links) and len(links) > 20
-    assert all(target.startswith("https://arxiv.org/") for target in re.findall(r"\]\(([^)]+)\)", text))
-    for name in ("codemeta.json", "SECURITY.md"):
-        assert ADDRESS in (ROOT / name).read_text()
-    urls = PROJECT["urls"]
-    assert all(url.startswith(ADDRESS) for url in urls.values())
-    for link in [*links.values(), urls["Documentation"], urls["Changelog"]]:
-        parts = re.fullmatch(f"{ADDRESS}/(raw|blob)/main/([^#]+)#?(.*)", link)
-        assert parts and (ROOT / parts[2]).exists() and (parts[1] == "raw") == link.endswith(".png"), link
-        headings = re.findall(r"^#+ (.+)$", (ROOT / parts[2]).read_text(), re.MULTILINE) if parts[3] else []
-        assert parts[3] in ["", *(re.sub(r"[^\w -]", "", each).lower().replace(" ", "-") for each in headings)], link
-
-
 def test_classifiers_are_those_of_the_index():
     known = pytest.importorskip("trove_classifiers").classifiers
     assert [each for each in PROJECT["classifiers"] if each not in known] == []

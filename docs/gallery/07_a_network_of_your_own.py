@@ -1,6 +1,6 @@
 """
-A network of your own
-=====================
+Your own network
+================
 
 A network is a class of torch in a file. npred generates data from closed loops,
 trains the network to predict X(t + D), and closes the loop with it. This one is

@@ -6,6 +6,7 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import differential_evolution
 
+import npred
 from npred import plants
 
 
@@ -29,3 +30,12 @@ def test_the_theorem_asks_for_a_b_that_is_far_above_that_of_fig_1():
 
     found = differential_evolution(lambda z: np.log(b_star(z)), [(-3, 8), (-200, 200)], rng=1, tol=1e-9, popsize=30)
     assert np.exp(found.fun) == pytest.approx(1.449e8, rel=1e-3)
+
+
+def test_the_theorem_as_printed_is_false():
+    """[DAPF, Theorem 3] bounds |X(t)|² by β(|X(0)|², t) alone: 0 from rest, for the exact P and the right D_hat."""
+    plant = plants.resolve("activator_repressor")
+    loop = npred.simulate(
+        plant, npred.predictor(plant, "rk4"), D=1.0, D_hat=1.0, X0=plant.equilibrium, u0=[0.01], t_end=20.0, dt=0.01
+    )
+    assert np.linalg.norm(loop.X - plant.equilibrium, axis=-1).max() == pytest.approx(0.526, rel=0.01)

@@ -79,6 +79,12 @@ def test_on_a_phone_the_legend_stays_in_sight_and_a_cut_table_has_a_shadow(look)
     assert shadows and set(shadows) == {"local, scroll"}
 
 
+def test_no_table_is_cut_at_a_desk(look):
+    tables = "[...document.querySelectorAll('.scroll')].map((e) => [e.ariaLabel, e.scrollWidth - e.clientWidth])"
+    found = look(1280).evaluate(tables)
+    assert len(found) > 4 and [each for each in found if each[1] > 0] == []
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_is_legible_in_the_light_and_in_the_dark(look, scheme):
     page = look(color_scheme=scheme)

@@ -227,7 +227,7 @@ def _loops(plant: Plant, evaluated: Evaluated, networks: list[PredictorId]) -> s
 
 
 def _speed(benched: Benched) -> str:
-    """The fastest call of a network on the finest grid, and the fastest method that is as accurate."""
+    """The fastest call of a network on the finest grid, beside what is like it, and the fastest method as accurate."""
     finest = min((row.dx for row in benched.table), default=0.0)
     networks = [row for row in benched.table if row.is_network and row.dx == finest]
     if not networks:
@@ -235,7 +235,12 @@ def _speed(benched: Benched) -> str:
     row = min(networks, key=lambda row: row.median_us)
     text = f"A call of the {label(row)}, takes {row.median_us:.1f} µs at dx = {finest:.3g}"
     if row.speedup_published is not None:  # inputs with several delays have no published predictor
-        text += f", {row.speedup_published:,.0f} times faster than interpreted O(nx²) sums"
+        text += f", {row.speedup_published:,.0f} times as fast as interpreted O(nx²) sums"
+        for same in networks:  # torch against the sums is what Table I compares
+            if same.predictor == row.predictor and same.runtime == "torch" != row.runtime and not same.copies:
+                text += f" (by torch {same.speedup_published:,.0f} times)"
+        if row.speedup_compiled is not None:
+            text += f" and {row.speedup_compiled:.2g} times as fast as compiled Euler"
     for crossover in [each for each in benched.crossover if each.predictor == row.predictor][:1]:
         method = bench.method_on(crossover.best, crossover.best_steps)
         text += (

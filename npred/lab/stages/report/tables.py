@@ -17,7 +17,7 @@ from npred.plants.notation import quantity, timed
 
 ERRORS = {"mse": "mean square", "eps_sup": "ε sup", "eps_kappa": "ε_{κ}", "rel_l2": "relative L²"}
 ABOUT = {
-    "mse": "mean of |P̂ − P|² over samples and x",
+    "mse": "mean of (P̂ − P)² over samples, x and states",
     "eps_sup": "largest |P̂ − P|",
     "eps_kappa": "largest error of U, |κ(P̂(1)) − κ(P(1))|",
     "rel_l2": "mean of ‖P̂ − P‖ / ‖P‖",
@@ -111,7 +111,8 @@ def loops(evaluated: Evaluated) -> Table:
     D, acts = ("D", "σ(t)") if evaluated.in_loop.D is None else ("D̂", "t + D")  # a declared delay is no estimate
     in_loop = [scores.in_loop if each.adapts else None for each, scores in evaluated.models.items()]
     checked = f"largest error of the prediction in {evaluated.in_loop.loops} other loops"
-    checked += "" if evaluated.in_loop.D is None else ", in which D̂ = D throughout"
+    if evaluated.in_loop.D is not None:
+        checked += ", in which D̂ = D throughout, from t = 2D on: before, u has the jump of its start, which costs more"
     radii = {"median": "radius, median", "worst": "worst", "predicted": "from ε_{κ}"}
     columns = [
         Column("predictor", [each.label for each in evaluated.models]),
