@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -107,12 +108,36 @@ def plant(**parts):
         ({"delays": (-0.1,)}, r"delays\[0\]: expected a time, 0 or more, got -0.1"),
         ({"delays": ("late",)}, r"delays\[0\]: expected a time, 0 or more, got 'late'"),
         ({"f": 3}, "f: expected a function, got 3"),
+        ({"inputs": ("q")}, r"inputs: expected different names, .* got 'q'; write \(\"q\",\), with the comma"),  # noqa: UP034
+        ({"states": "h, v"}, r"states: expected different names, .* got 'h, v'; write \(\"h\", \"v\"\), with"),
+        ({"guess": 1}, r"guess: expected one number per state, got 1; write \(1,\), with the comma"),
+        ({"delays": 0.1}, r"delays: expected the time of each input, got 0.1; write \(0.1,\), with the comma"),
     ],
 )
 def test_a_wrong_part_is_told_in_one_line(parts, message):
     with pytest.raises(ConfigError, match=message) as caught:
         plant(**parts)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["1.0", b"1", True, np.True_, np.array("1.0"), np.array(True), np.array([1.0]), [1.0]])
+@pytest.mark.parametrize("part", ["parameters", "box", "guess", "input_bounds", "state_bounds", "delays", "period"])
+def test_a_number_is_no_text_no_truth_value_and_no_array(part, value):
+    """float() makes 1.0 of each of them."""
+    shapes = {"parameters": {"c": value}, "period": value, "input_bounds": [(0.0, value)]}
+    shapes |= dict.fromkeys(("guess", "delays"), (value,))
+    shapes |= dict.fromkeys(("box", "state_bounds"), {"h": (0.0, value)})
+    with pytest.raises(ConfigError, match=rf"plant Tank: {part}.*: expected a") as caught:
+        plant(**{part: shapes[part]})
+    assert repr(value) in str(caught.value)
+    if part == "parameters":
+        with pytest.raises(ConfigError, match=r"parameters\['c'\]: expected a finite number"):
+            Plant("Tank", Tank, {"c": value})
+
+
+@pytest.mark.parametrize("value", [1, np.float32(1), np.int64(1), np.array(1.0), Fraction(1)])
+def test_a_number_may_be_of_any_kind(value):
+    assert plant(parameters={"c": value}).parameters == {"c": 1.0}
 
 
 def test_what_is_no_part_begins_with_an_underscore_in_bases_too():
