@@ -81,7 +81,9 @@ def _pairs(value: Any) -> Any:
 
 LIST, STRICT = BeforeValidator(_listed), Field(strict=True)
 REAL = BeforeValidator(partial(array_checks.number, ""))  # float() would also take a text
-DIFFERENT = expected('different names, as ("h",)', _tupled("write each once"), lambda names: 0 < len(names) == len(set(names)))
+DIFFERENT = expected(
+    'different names, as ("h",)', _tupled("write each once"), lambda names: 0 < len(names) == len(set(names))
+)
 IN_ORDER = expected("a range (low, high) with low <= high", "write both", lambda ends: ends[0] <= ends[1])
 IS_NAME = expected(
     "a name that Python accepts",

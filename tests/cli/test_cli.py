@@ -292,7 +292,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
     [
         (["run", "none.toml"], 2, "none.toml: expected a pipeline file"),
         (["run", "tiny.toml", "--set", "generate.dtt=1"], 2, "generate.dtt: unknown key"),
-        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx[0]: Input should be greater than 0, got -0.1"),
+        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx[0]: expected a number above 0, got -0.1"),
         (["run", "tiny.toml", "--set", "plant=nonesuch"], 2, "nonesuch"),
         (["run", "tiny.toml", "--set", "plant=broken.py:Tank"], 2, "broken.py"),
         (["run", "tiny.toml", "--set", "parameters.zz=1"], 2, "zz"),
@@ -313,7 +313,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
         (
             ["run", "tiny.toml", "--set", "generate.D=-1"],
             2,
-            "generate.D: Input should be a valid tuple or greater than 0, got -1",
+            "generate.D: expected a list or a number above 0, got -1",
         ),
         (["identify", "log.csv", "--plant", "scalar", "--input", "q"], 2, "expected --input NAME=COLUMN, got 'q'"),
         (["diff", "0123", "4567"], 2, "expected one artifact"),

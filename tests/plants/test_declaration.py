@@ -120,7 +120,9 @@ def test_a_wrong_part_is_told_in_one_line(parts, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("value", ["1.0", b"1", True, np.True_, np.array("1.0"), np.array(True), np.array([1.0]), [1.0]])
+@pytest.mark.parametrize(
+    "value", ["1.0", b"1", True, np.True_, np.array("1.0"), np.array(True), np.array([1.0]), [1.0]]
+)
 @pytest.mark.parametrize("part", ["parameters", "box", "guess", "input_bounds", "state_bounds", "delays", "period"])
 def test_a_number_is_no_text_no_truth_value_and_no_array(part, value):
     """float() makes 1.0 of each of them."""
