@@ -37,7 +37,7 @@ class StateObserver(Section):
     """An observer that estimates the state from the plant's outputs."""
 
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
-    outputs: list[str] | None = None  #: the measured states; by default the plant's outputs
+    outputs: list[str] | None = None  #: what is measured, of the plant's outputs and states; by default its outputs
     offset: Switch = False  #: whether it also estimates an offset of each input
 
 
