@@ -148,8 +148,8 @@ class _Engine:
         self.size = self.mujoco.mj_stateSize(model, state.mjSTATE_FULLPHYSICS.value)
 
     def _edited(self, path: Path, lock: Collection[str], actuated: Collection[str] | None) -> Any:
-        """The file without its sensors, keys and disabled actuators, without the joints that are locked, and with motors
-        where they are asked for, or at all joints where the file has no actuator.
+        """The file without its sensors, keys and disabled actuators, without the joints that are locked, and with
+        motors where they are asked for, or at all joints where the file has no actuator.
         """
         spec = self.mujoco.MjSpec.from_file(str(path))
         for k, joint in enumerate(spec.joints):
