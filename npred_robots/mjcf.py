@@ -118,9 +118,8 @@ class _Engine:
         except ConfigError:
             raise
         except ValueError as error:
-            reason = ", ".join(str(error).strip().splitlines()[:2]).removeprefix(
-                "Error: "
-            )  # the second names the element
+            lines = str(error).strip().splitlines()[:2]  # the second names the element
+            reason = ", ".join(lines).removeprefix("Error: ")
             cure = "lock all that it ties" if lock else "fix the file"
             raise ConfigError(f"{path}: expected an MJCF file, got: {reason}; {cure}") from None
         if integrator is not None:
