@@ -155,7 +155,7 @@ def test_the_closest_earlier_result_gives_the_reason(run: Run, pipeline: Path):
 def test_another_pipelines_results_give_hits_but_no_reasons(run: Run, pipeline: Path):
     run("name=other")
     assert ran(run()) == ["report"]  # which bears the pipeline's name
-    assert plan(pipeline, "train.fno.epochs=5")["fno"] == "no artifact yet"
+    assert plan(pipeline, "train.fno.epochs=5")["fno"] == "no result yet"
 
 
 def test_many_differences_are_counted(run: Run, pipeline: Path):
@@ -165,10 +165,10 @@ def test_many_differences_are_counted(run: Run, pipeline: Path):
 
 
 def test_a_plan_says_what_waits_for_what_and_why(run: Run, pipeline: Path, fakes: Path):
-    assert plan(pipeline)["fno"] == "no artifact yet: upstream generate will run (no artifact yet)"
+    assert plan(pipeline)["fno"] == "no result yet"
     run()
     found = plan(pipeline, "generate.rollouts=60", "train.fno.epochs=5")
-    cause = "upstream generate will run (generate.rollouts: 50 -> 60)"
+    cause = "generate runs first (generate.rollouts: 50 -> 60)"
     assert found["deeponet"] == found["bench"] == f"stale: {cause}"
     assert found["fno"] == f"stale: train.fno.epochs: 100 -> 5; {cause}"
     assert len(fakes.read_text().splitlines()) == 6
