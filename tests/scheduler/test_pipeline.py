@@ -206,6 +206,18 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
     assert store.leftovers() == []
 
 
+def test_a_stage_that_fails_without_a_checkpoint_leaves_nothing(run: Run, pipeline: Path, monkeypatch):
+    def fails(job):
+        (job.scratch / "checkpoint").unlink()
+        raise ZeroDivisionError
+
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", fails)
+    with pytest.raises(ZeroDivisionError):
+        run(targets=("generate",))
+    store = Store(pipeline.parent / "store")
+    assert store.leftovers() == [] and list((store.root / ".scratch").iterdir()) == []
+
+
 def test_where_it_runs_enters_the_key_of_bench_only(pipeline: Path):
     made = planner(pipeline).config
     same = {n.name: settings_of(n, made) == settings_of(n, made, "cuda") for n in nodes(made, usual(made))}
