@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from npred.base.errors import ConfigError, first_line, required, unlisted
+from npred.base.errors import ConfigError, required, unlisted
 from npred.formulas import Parameters, Value
 from npred_robots.chain import GAINS, by_library, declaration, driven, wave_of
 from npred_robots.rigid_body import pushes
@@ -38,7 +38,8 @@ def mujoco_chain(
     those of `chain`. q'' is mj_forward's, the law's torque mj_inverse's. `rollout` is the engine's own, for the
     predictor of that name: one step per interval of nodes. Gravity, a parameter, is the file's.
 
-    Joints with an actuator have an input, all joints of a file without actuators. That of a motor is the torque or
+    Joints with an actuator have an input, all joints of a file without actuators; actuators that the file disables, by
+    actuatorgroupdisable or all of them, are none. That of a motor is the torque or
     force of the joint, in the bounds of gear, ctrlrange, forcerange and actuatorfrcrange. That of a position or
     velocity servo is what it is sent, in the bounds of its ctrlrange: its feedback is part of the plant, and reacts
     without delay. Contacts, joint limits, dry friction and sensors are left out, with a warning for the first and the
@@ -117,7 +118,8 @@ class _Engine:
         except ConfigError:
             raise
         except ValueError as error:
-            reason = first_line(error).removeprefix("Error: ")
+            lines = str(error).strip().splitlines()[:2]  # the second names the element
+            reason = ", ".join(lines).removeprefix("Error: ")
             cure = "lock all that it ties" if lock else "fix the file"
             raise ConfigError(f"{path}: expected an MJCF file, got: {reason}; {cure}") from None
         if integrator is not None:
@@ -136,6 +138,7 @@ class _Engine:
             self._check_joints()
             self._check_parts()
             self._read_joints()
+            self._check_effects()
         except _NotTaken as error:
             raise ConfigError(f"{path}: {error}") from None
         self._warn(path)
@@ -144,8 +147,8 @@ class _Engine:
         self.size = self.mujoco.mj_stateSize(model, state.mjSTATE_FULLPHYSICS.value)
 
     def _edited(self, path: Path, lock: Collection[str], actuated: Collection[str] | None) -> Any:
-        """The file without its sensors and keys, without the joints that are locked, and with motors where they are
-        asked for, or at all joints where there is no actuator.
+        """The file without its sensors, keys and disabled actuators, without the joints that are locked, and with
+        motors where they are asked for, or at all joints where the file has no actuator.
         """
         spec = self.mujoco.MjSpec.from_file(str(path))
         for k, joint in enumerate(spec.joints):
@@ -155,13 +158,17 @@ class _Engine:
             for name in chosen:
                 if name not in names:
                     raise ConfigError(f"{path}: {unlisted(option, name, names, 'names of joints:')}")
-        for part in [*spec.sensors, *spec.keys, *(spec.actuators if actuated is not None else ())]:
+        option = spec.option
+        off = option.disableflags & self.mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
+        idle = [part for part in spec.actuators if off or _group(part.group) & option.disableactuator]
+        for part in [*spec.sensors, *spec.keys, *(idle if actuated is None else spec.actuators)]:
             spec.delete(part)
+        option.disableactuator = 0
         for part in self._tied(spec, lock) if lock else ():
             spec.delete(part)
         for joint in [joint for joint in spec.joints if joint.name in lock]:
             spec.delete(joint)
-        if not len(spec.actuators):
+        if not len(spec.actuators) and (actuated is not None or not idle):
             for joint in spec.joints:
                 if actuated is None or joint.name in actuated:
                     spec.add_actuator(trntype=self.mujoco.mjtTrn.mjTRN_JOINT, target=joint.name)
@@ -245,6 +252,19 @@ class _Engine:
             self.joints.append(MujocoJoint(name, slides, push, ending, *ends))
         if not self.drives:
             raise _NotTaken(f"expected a joint with a motor, got none; name them: actuated=({names[0]!r},)")
+
+    def _check_effects(self) -> None:
+        """Raise _NotTaken for an input that moves nothing, from its one end to its other."""
+        ends = np.clip([joint.push for joint in self.joints if any(joint.push)], -1.0, 1.0)  # (m, 2)
+        rows = np.repeat(ends.mean(axis=1)[None], 2 * len(ends), axis=0)
+        for k, pair in enumerate(ends):
+            rows[2 * k : 2 * k + 2, k] = pair
+        still = np.zeros((len(rows), self.model.nv))
+        moved = np.ptp(self.accelerations(still, still, rows, self.gravity).reshape(len(ends), 2, -1), axis=1)
+        for drive, effect in zip(self.drives, moved.max(axis=1), strict=True):
+            if not effect > 0:
+                what = "expected an effect on its joint, got none"
+                raise _NotTaken(f"actuator {self._name('actuator', drive.actuator)}: {what}; take it out")
 
     def _pulled_joint(self, k: int) -> int:
         """The joint of actuator k. Raises _NotTaken for one that is no motor and no servo of a joint."""
@@ -361,6 +381,11 @@ class _Engine:
     def _pulled(self, gravity: float) -> Any:
         self.model.opt.gravity = gravity * self.down
         return self.model
+
+
+def _group(number: int) -> int:
+    """The bit of a group of actuators; those beyond the 31st cannot be disabled."""
+    return 1 << number if 0 <= number <= 30 else 0
 
 
 class _NotTaken(ValueError):

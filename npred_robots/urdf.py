@@ -22,6 +22,7 @@ LARGEST = 2**20  # bytes of a file: a chain has kilobytes, its meshes are elsewh
 EXPAND = "run xacro FILE > robot.urdf, and give that file"
 ROUNDING = 1e-6  # share of an inertia that its digits leave open
 MOTORS = ("transmission/joint", "ros2_control/joint[command_interface]")  # what names a joint with a motor
+OF = "{npred}of"  # an attribute that no file has: the link or joint that an element belongs to, for messages
 LOOPS = ("loop_joint", "gazebo/joint")  # Drake's and Gazebo's ways to tie two links of a tree together
 MOVING = {"revolute": False, "continuous": False, "prismatic": True}  # whether the joint slides
 
@@ -44,7 +45,8 @@ def read(
 ) -> list[Body]:  # fmt: skip
     """The moving bodies, each after the one that carries it; along a chain from the base to the tip.
 
-    Joints that mimic another move with it. Dry friction, meshes and the reductions of transmissions are not read.
+    Joints that mimic another move with it. Meshes, limits of velocity and the reductions of transmissions are not read;
+    dry friction is left out, with a warning.
 
     Parameters
     ----------
@@ -72,6 +74,7 @@ def read(
         tree.lock(tip, lock)
         bodies = tree.bodies(mounted or tip is not None)
         tree.check_inertias(bodies)
+        tree.warn_of_friction(path, bodies)
         return tree.driven(path, bodies, actuated)
     except _Wrong as error:
         raise ConfigError("; ".join(filter(None, (f"{path}: {error}", error.cure)))) from None
@@ -132,6 +135,9 @@ class _Tree:
 
     def __init__(self, root: ElementTree.Element) -> None:
         _check_expanded(root)
+        for whole in root:
+            for part in whole.iter():
+                part.set(OF, f"{whole.tag} {whole.get('name', '')}: " if part is not whole else "")
         if root.tag != "robot":
             raise _Wrong(f"expected a <robot>, got <{root.tag}>")
         self.links, self.joints = _by_name(root, "link"), _by_name(root, "joint")
@@ -281,6 +287,17 @@ class _Tree:
                 raise _Wrong(what, f"write its <inertial>, or lock=({name!r},)")
             H[:i, :i] -= np.outer(H[:i, i], H[:i, i]) / H[i, i]
 
+    def warn_of_friction(self, path: Path, bodies: list[Body]) -> None:
+        """Say which joints that move have dry friction, which f does not."""
+        dynamics = [(body.joint, self.joints[body.joint].find("dynamics")) for body in bodies]
+        rubbing = [(name, _number(part, "friction", 0.0)) for name, part in dynamics if part is not None]
+        for name, friction in rubbing:
+            if friction < 0:
+                raise _Wrong(f"joint {name}: expected a friction of at least 0, got {friction:g}")
+        if names := ", ".join(name for name, friction in rubbing if friction):
+            left = f"dry friction of {names} left out; npred simulates joints, motors, damping and gravity"
+            warnings.warn(f"{path}: {left}", stacklevel=4)
+
     def driven(self, path: Path, bodies: list[Body], actuated: Iterable[str] | None) -> list[Body]:
         """The bodies with an effort of 0 where the joint has no motor, and without a limit where only `actuated` says
         that there is one. Warns where an effort speaks against the transmissions.
@@ -404,21 +421,27 @@ def _origin(element: ElementTree.Element) -> tuple[np.ndarray, np.ndarray]:
 def _part(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     part = element.find(tag)
     if part is None:
-        raise _Wrong(f"{element.tag} {element.get('name', '')}: expected a <{tag}>, found none".replace(" :", ":"))
+        raise _Wrong(f"{_owned(element)}: expected a <{tag}>, found none")
     return part
+
+
+def _owned(element: ElementTree.Element) -> str:
+    """An element in words: link arm: <inertia>."""
+    name = f" name={element.get('name')!r}" if element.get("name") else ""
+    return f"{element.get(OF, '')}<{element.tag}{name}>"
 
 
 def _attribute(element: ElementTree.Element, name: str) -> str:
     value = element.get(name)
     if value is None:
-        raise _Wrong(f"<{element.tag}>: expected an attribute {name}, found none")
+        raise _Wrong(f"{_owned(element)}: expected an attribute {name}, found none")
     return value
 
 
 def _numbers(element: ElementTree.Element, name: str, count: int) -> np.ndarray:
     text = element.get(name, " ".join(["0"] * count))
     if not re.fullmatch(r"\s*" + r"\s+".join([r"[-+.\deE]+"] * count) + r"\s*", text):
-        raise _Wrong(f"<{element.tag}>: {name} expected {count} numbers, got {text!r}")
+        raise _Wrong(f"{_owned(element)}: {name} expected {count} numbers, got {text!r}")
     return np.array([_float(element, name, word) for word in text.split()])
 
 
@@ -434,5 +457,5 @@ def _float(element: ElementTree.Element, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise _Wrong(f"<{element.tag}>: {name} expected a finite number, got {text!r}")
+        raise _Wrong(f"{_owned(element)}: {name} expected a finite number, got {text!r}")
     return value

@@ -123,8 +123,8 @@ def test_python_says_what_comes_closest(name: str):
     [
         ("run tank.py", 'expected a pipeline, a TOML file, got code; write plant = "tank.py:Tank" to one'),
         ("run tank.py:Tank", 'expected a pipeline, a TOML file, got code; write plant = "tank.py:Tank" to one'),
-        ("run smoke --set evaluate.X0=0.5", "evaluate.X0: Input should be a valid list, got 0.5"),
-        ("run smoke --set bench.calls=1e3", "bench.calls: Input should be a valid integer, got 1000.0"),
+        ("run smoke --set evaluate.X0=0.5", "evaluate.X0: expected a list, got 0.5; put it in brackets"),
+        ("run smoke --set bench.calls=1e3", "bench.calls: expected a whole number, got 1000.0; "),
     ],
 )
 def test_a_command_says_what_to_write_instead(line: str, instead: str):

@@ -13,7 +13,8 @@ from npred.base.errors import ConfigError, bytes_text
 def floats(name: str, value: object, kind: str = "an array of real numbers") -> np.ndarray:
     """The float64 array of real numbers. Raises ConfigError for text, dates, complex numbers, masked arrays, others.
 
-    A masked value and the imaginary part of a complex one would be lost without a word, and a date has no unit.
+    A masked value and the imaginary part of a complex one would be lost without a word, and a date has no unit. True is
+    no number; a recorded array of them is the course of a switch.
     """
     if type(value) is np.ndarray and value.dtype.char == "d":  # the usual case, without a copy
         return value
@@ -21,7 +22,8 @@ def floats(name: str, value: object, kind: str = "an array of real numbers") -> 
         array = np.asarray(None if _masked(value) else value)
         # NumPy counts time differences among the integers
         real = (isinstance(item, Real) and not isinstance(item, np.timedelta64) for item in array.flat)
-        if array.dtype.kind in "biuf" or (array.dtype == object and all(real)):
+        switched = array.dtype.kind == "b" and array.ndim
+        if switched or array.dtype.kind in "iuf" or (array.dtype == object and all(real)):
             return array.astype(float, copy=False)
     except (TypeError, ValueError, RuntimeError, OverflowError):  # torch raises the third, for a tensor with a gradient
         pass

@@ -134,8 +134,10 @@ def unlisted(
 ) -> str:
     """The message of a name that is not in a list: the names in it, and the closest one, else the cure."""
     names = list(names)
-    near = similar(str(name), names) or f"; {todo if names else 'leave it out'}"
-    return f"{what}: expected {kind} {', '.join(names) or 'none: there is none'}, got {name!r}{near}"
+    if not names:
+        return f"{what}: expected no name, for there is none to choose, got {name!r}; leave it out"
+    near = similar(str(name), names) or f"; {todo}"
+    return f"{what}: expected {kind} {', '.join(names)}, got {name!r}{near}"
 
 
 def similar(name: str, names: Iterable[str]) -> str:

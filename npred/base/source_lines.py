@@ -31,16 +31,20 @@ def last_line(error: BaseException, file: str) -> str:
     return f":{theirs[-1]}" if theirs else ""
 
 
-def called(error: BaseException, function: Callable[..., Any]) -> str:
-    """The name of what the last such line called when it failed, as it is written there: np.sin; else ""."""
+def failed(error: BaseException, function: Callable[..., Any]) -> str:
+    """The rest of the last such line from where it failed, as it is written there: np.sin(x.h) + 1; else ""."""
     code = _code(function)
     frames = [
         frame for frame in traceback.extract_tb(error.__traceback__) if code and frame.filename == code.co_filename
     ]
     if not frames or frames[-1].lineno is None or frames[-1].colno is None:
         return ""
-    text = linecache.getline(frames[-1].filename, frames[-1].lineno).encode()[frames[-1].colno :].decode()
-    call = re.match(r"([\w.]+)\(", text)
+    return linecache.getline(frames[-1].filename, frames[-1].lineno).encode()[frames[-1].colno :].decode()
+
+
+def called(error: BaseException, function: Callable[..., Any]) -> str:
+    """The name of what it called there, as it is written: np.sin; else ""."""
+    call = re.match(r"([\w.]+(\[[^]]*\])?)\(", failed(error, function))
     return call[1] if call else ""
 
 

@@ -85,15 +85,16 @@ class Recorded(Staged):
             raise ConfigError(f"--plant: expected the plant of {self.pipeline}, got none; add --plant my_plant.py:Tank")
         table |= {"plant": self.plant} if self.plant else {}
         columns = _pairs(self.input, "--input NAME=COLUMN") | _pairs(self.state, "--state NAME=COLUMN")
+        scales, shifts = _pairs(self.scale, "--scale COLUMN=FACTOR"), _pairs(self.shift, "--shift COLUMN=NUMBER")
         ranges = _pairs(self.bounds, "--bounds NAME=LOW:HIGH")
         named = {
             "time": self.time, "time_unit": self.time_unit, "period": self.period, "hold": self.hold, "free": self.free,
             "longest": self.longest, "model_error": self.model_error, "offset": self.offset or None,
             "time_varying": self.time_varying or None,
             "columns": columns,
-            "scale": {key: _number(text) for key, text in _pairs(self.scale, "--scale COLUMN=FACTOR").items()},
-            "shift": {key: _number(text) for key, text in _pairs(self.shift, "--shift COLUMN=NUMBER").items()},
-            "bounds": {key: [_number(end) for end in text.split(":")] for key, text in ranges.items()},
+            "scale": {key: _number("--scale", text) for key, text in scales.items()},
+            "shift": {key: _number("--shift", text) for key, text in shifts.items()},
+            "bounds": {key: [_number("--bounds", end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
         table.setdefault("identify", {}).update(
             {key: value for key, value in named.items() if value not in (None, [], {})}
@@ -111,11 +112,11 @@ def _pairs(texts: list[str] | None, form: str) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-def _number(text: str) -> float:
+def _number(flag: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ConfigError(f"expected a number, got {text!r}; write one, as 0.01") from None
+        raise ConfigError(f"{flag}: expected a number, got {text!r}; write one, as 0.01") from None
 
 
 def identify(
@@ -133,6 +134,9 @@ def identify(
     Raises UnmetError where no pipeline is written: the model is refused, or the delay is not identifiable and not
     accepted, or `npred plants check` would say no of the pipeline.
     """
+    if output and "=" in output.name and output.suffix != ".toml":
+        cure = f"an output of the plant and its column are --output-column {output}"
+        raise ConfigError(f"--output: expected the file of the pipeline, got {str(output)!r}; {cure}")
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
     path = output or Path(f"{options.stem}.toml")

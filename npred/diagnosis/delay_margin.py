@@ -84,8 +84,9 @@ def tolerated(case: Case) -> Verdict:
     """How wrong a constant estimate of the case's delay may be, near rest and for loops from the box."""
     low, high = delay_margin(case.plant, case.D)
     shown, D = case.plant.time_text, case.D
-    ends = f"from {shown(D + low, '.4g')} " + ("on" if np.isinf(high) else f"to {shown(D + high, '.4g')}")
-    text = f"near rest the loop is stable for every constant D_hat {ends}"
+    first, last = shown(D + low, ".4g"), None if np.isinf(high) else shown(D + high, ".4g")
+    ends = f"of {first} or more" if last is None else f"between {first} and {last}"
+    text = f"near rest the loop is stable for a constant estimate D_hat {ends}"
     figures: dict[str, Any] = {"D": D, "low": D + low, "high": None if np.isinf(high) else D + high}
     if not loops.applies(case):
         return "yes", f"{text}; no loop from the box was simulated", figures

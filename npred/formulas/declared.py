@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from npred.base import source_lines
-from npred.base.errors import ConfigError, first_line, similar
+from npred.base.errors import ConfigError, first_line, installed, similar
 from npred.formulas import Parameters, Value
 from npred.formulas.tape import INSTEAD, NAMES, Functions
 
@@ -21,19 +21,19 @@ SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
 ON_ROWS |= {"rollout": "rollout(X, u, D_hat, t, p)"}
-CALLS = [f"'{kind}' object is not callable" for kind in ("Symbol", "State", "numpy.ndarray")]
 DELAYED_STATE = "only inputs arrive late; for a state x.h at t - tau declare states that follow it, N of them: " + (
     "z1' = N (x.h - x.z1) / tau, z2' = N (x.z1 - x.z2) / tau, …"
 )
+LATE_ALREADY = "inputs arrive late by themselves: write {input} for U(t - D)"
+LIBRARIES = {"np": "numpy", "jnp": "jax.numpy", "sp": "scipy"}  # by the names that they are given
 UNTRACED = "write its formulas with M, or set traced = False, for functions of arrays that are called"
 HINTS = {
-    "for &": "write M.logical_and(a, b)",
-    "for |": "write M.logical_or(a, b)",
+    **dict.fromkeys(("for ^", "'bitwise_xor'"), "write ** for a power, as x.h**2"),
+    **dict.fromkeys(("for &", "'bitwise_and'"), "write M.logical_and(a, b)"),
+    **dict.fromkeys(("for |", "'bitwise_or'"), "write M.logical_or(a, b)"),
     "unary ~": "write M.logical_not(a)",
     "for //": "write M.floor(a / b)",
     "a decision on": "write M.where(condition, a, b)",
-    "'Inputs' object is not callable": "inputs arrive late by themselves: write u.name for U(t - D)",
-    **dict.fromkeys(CALLS, DELAYED_STATE),
     "tuple indices must be": "states, inputs and parameters have names: write x.name, u.name, p.name",
     "'Symbol' object has no attribute": "look at the order of the arguments: write def {signature}",
     "Inputs": "inputs have names: write u.name",
@@ -132,7 +132,9 @@ def _cure(plant: Declared, function: str, error: Exception) -> str:
             near = f"; write {INSTEAD[name]}" if name in INSTEAD else similar(str(name), vars(of_M))
             return f"expected one of M's {', '.join(vars(of_M))}{near}"
         case NameError(name=name):
-            return _meant(str(name), plant, function, signature)
+            return _meant(str(name), plant, function, signature, error)
+        case TypeError() if "object is not callable" in str(error):
+            return _of_call(error, plant, getattr(plant.declaration, function))
     if plant.traced and (cure := _of_M(error, getattr(plant.declaration, function))):
         return f"write {cure}"
     for words, hint in HINTS.items():
@@ -151,8 +153,23 @@ def _of_M(error: Exception, function: Callable[..., Any]) -> str | None:
     return next((INSTEAD.get(name, f"M.{name}") for name in names if name in (*NAMES, *INSTEAD)), None)
 
 
-def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
+def _of_call(error: Exception, plant: Declared, function: Callable[..., Any]) -> str:
+    """The advice on a call of a quantity: of an input that is to be late, of a state that is, of one without its *."""
+    name = source_lines.called(error, function)
+    argument = source_lines.failed(error, function).removeprefix(name)
+    home = re.split(r"[.[]", name)[0]
+    if home == "u" or name in plant.inputs:
+        return LATE_ALREADY.format(input="u.name" if name == "u" and plant.traced else name)
+    if (home == "x" or name in plant.states) and re.match(r"\(\s*t\b", argument):
+        return DELAYED_STATE
+    return "write * for a product, as a * (b + c)"
+
+
+def _meant(name: str, plant: Declared, function: str, signature: str, error: Exception) -> str:
     """The advice on a name that the function does not know."""
+    of_library = re.match(r"\w+\.(?:\w+\.)*(\w+)", source_lines.failed(error, getattr(plant.declaration, function)))
+    if of_library and plant.traced and of_library[1] in (*NAMES, *INSTEAD):
+        return f"write {INSTEAD.get(of_library[1], f'M.{of_library[1]}')}"
     homes = {"p": plant.p_names} | ({"x": plant.states, "M": NAMES} if plant.traced else {})
     if function in ("f", "mechanics") and plant.traced:
         homes["u"] = plant.inputs
@@ -163,4 +180,7 @@ def _meant(name: str, plant: Declared, function: str, signature: str) -> str:
     if name in ("u", *plant.inputs) and function not in ("f", "mechanics"):
         return f"only f knows the inputs, and kappa gives them: write {function} in {arguments}"
     near = similar(name, [f"{home}.{each}" for home, names in homes.items() for each in names])
+    if of_library and installed(LIBRARIES.get(name, name)):
+        long = LIBRARIES.get(name, "")
+        near = f"; write import {long + ' as ' * bool(long)}{name} above the class"
     return f"expected one of {arguments}, or what the file defines{near}"

@@ -147,16 +147,17 @@ class Findings:
         errors = self.validation.errors
         if not errors:
             return [*lines, "The log is too short to hold back a part for validation."]
-        others = ", ".join(f"{words} by {self._error(name)}" for name, words in RIVALS.items() if name in errors)
+        rows = {"model": "of the model", **{name: words for name, words in RIVALS.items() if name in errors}}
+        width = max(map(len, rows.values()))
         return [
             *lines,
-            "On the last quarter of the log, which was held back, predictions of the model err by "
-            f"{self._error('model')} (rms), {others}.",
+            "Errors of predictions on the last quarter of the log, which was held back (rms):",
+            *(f"  {words:{width}}  {self._error(name)}" for name, words in rows.items()),
         ]
 
     def _error(self, name: str) -> str:
         error = self.validation.errors[name]
-        return f"{error:.3g}" if error < RUN_AWAY else "more than any number, because they diverge"
+        return f"{error:.3g}" if error < RUN_AWAY else "beyond any number: they overflow"
 
     def _of_model(self) -> list[str]:
         """Why there is no answer at all."""
@@ -167,9 +168,9 @@ class Findings:
             ]
         if self.validation.better is not None:
             return [
-                f"There is no answer: the held-back part contradicts the model. Predictions "
-                f"{RIVALS[self.validation.better]} err by {self._error(self.validation.better)}, those of the model by "
-                f"{self._error('model')}. Check the plant, its units and its first values."
+                "There is no answer: the held-back part contradicts the model. The error of predictions is "
+                f"{self._error(self.validation.better)} {RIVALS[self.validation.better]}, and {self._error('model')} "
+                f"by the model. Check the plant, its units and its first values."
             ]
         return []
 

@@ -251,9 +251,9 @@ class Controller(InNotebook):
         """Set parameters of the plant, a set-point say, that the controller reads from the next step on.
 
         Where the plant declares `setpoint`, its rest X*, U* follows by Newton's steps from the last one, to which a law
-        of npred.laws then leads; its gains stay those of the set-point that was declared. In that step U moves by no
-        more than kappa(P) does between the two set-points, besides what it moves in any step. `controller.plant` stays
-        as it was declared; `state()` has what was set, and an export begins with it.
+        of npred.laws then leads; its gains stay those of the set-point that was declared. In that step U moves as in
+        any other, and by the difference that the new set-point makes to kappa(P). `controller.plant` stays as it was
+        declared; `state()` has what was set, and an export begins with it.
 
         Parameters
         ----------

@@ -4,12 +4,14 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from keyword import iskeyword
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, WrapValidator, model_validator
 
+from npred.base import array_checks
 from npred.base.errors import ConfigError, similar, unlisted
 from npred.plants import setpoint
 
@@ -34,7 +36,9 @@ ELSEWHERE = {  # where npred has what others declare by these names
 MARKUP = set("$\\")  # matplotlib would read these as mathematics
 
 
-def expected(words: str, cure: str, condition: Callable[[Any], bool] = lambda value: True) -> WrapValidator:
+def expected(
+    words: str, cure: str | Callable[[Any], str], condition: Callable[[Any], bool] = lambda value: True
+) -> WrapValidator:
     """One sentence for a value that is not of the type, or does not meet the condition; its items have others."""
 
     def check(value: Any, handler: Callable[[Any], Any]) -> Any:
@@ -45,9 +49,20 @@ def expected(words: str, cure: str, condition: Callable[[Any], bool] = lambda va
         except ValidationError as error:
             if error.errors()[0]["loc"]:  # an item's error
                 raise
-        raise ValueError(f"expected {words}, got {value!r}; {cure}")
+        raise ValueError(f"expected {words}, got {value!r}; {cure(value) if callable(cure) else cure}")
 
     return WrapValidator(check)
+
+
+def _tupled(otherwise: str) -> Callable[[Any], str]:
+    """The cure of what is no tuple: of one item parentheses make none, the comma does."""
+
+    def cure(value: Any) -> str:
+        names = re.findall(r"[^\s,;]+", value) if isinstance(value, str) else []
+        items = [f'"{name}"' for name in names] or [repr(value)] * isinstance(value, int | float)
+        return f"write ({', '.join(items)}{',' * (len(items) == 1)}), with the comma" if items else otherwise
+
+    return cure
 
 
 def _listed(value: Any) -> Any:
@@ -65,7 +80,10 @@ def _pairs(value: Any) -> Any:
 
 
 LIST, STRICT = BeforeValidator(_listed), Field(strict=True)
-DIFFERENT = expected('different names, as ("h",)', "write them", lambda names: 0 < len(names) == len(set(names)))
+REAL = BeforeValidator(partial(array_checks.number, ""))  # float() would also take a text
+DIFFERENT = expected(
+    'different names, as ("h",)', _tupled("write each once"), lambda names: 0 < len(names) == len(set(names))
+)
 IN_ORDER = expected("a range (low, high) with low <= high", "write both", lambda ends: ends[0] <= ends[1])
 IS_NAME = expected(
     "a name that Python accepts",
@@ -79,12 +97,12 @@ IS_LINE = expected(
 )
 Name = Annotated[str, STRICT, IS_NAME]
 Names = Annotated[tuple[Name, ...], LIST, DIFFERENT]
-Number = Annotated[float, expected("a number", "write one")]
-Finite = Annotated[float, expected("a finite number", "write one", math.isfinite)]
+Number = Annotated[float, REAL, expected("a number", "write one")]
+Finite = Annotated[float, REAL, expected("a finite number", "write one", math.isfinite)]
 Time = Annotated[Finite, expected("a time above 0", "write how long", lambda time: time > 0)]
 Delay = Annotated[Finite, expected("a time, 0 or more", "write how long", lambda time: time >= 0)]
-Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", "write a tuple")]
-Delays = Annotated[tuple[Delay, ...], LIST, expected("the time of each input", "write a tuple")]
+Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", _tupled("write a tuple"))]
+Delays = Annotated[tuple[Delay, ...], LIST, expected("the time of each input", _tupled("write a tuple"))]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
 Bounds = Annotated[
     tuple[Range, ...], BeforeValidator(_pairs), expected("a pair (low, high) per input", "write ((0.0, 1.0),), say")
@@ -94,7 +112,10 @@ FiniteRange = Annotated[tuple[Finite, Finite], LIST, IN_ORDER]
 Box = Annotated[dict[str, FiniteRange], expected('ranges as {"h": (0.0, 1.0)}', "write a dict")]
 OneNumber = Annotated[
     float,
-    expected("a finite number", "give each number of an array a name, or keep it outside the class", math.isfinite),
+    REAL,
+    expected(
+        "a finite number", "write one; give each number of an array a name, or keep it outside the class", math.isfinite
+    ),
 ]
 Parameters = Annotated[dict[Name, OneNumber], expected('a table {"a": 1.0}', "write a dict")]
 Text = Annotated[str, STRICT, AfterValidator(lambda text: text.strip()), IS_LINE]

@@ -111,7 +111,7 @@ def test_a_result_is_measured_once_per_code():
     own.write_text(own.read_text().replace("(1)", "2"))
     tiny, unused = _call("why", "reproduce").stdout.splitlines()
     assert re.fullmatch("reproduce tiny: code.published.tiny: [0-9a-f]{12} -> [0-9a-f]{12}", tiny)
-    assert unused == "reproduce unused: no artifact yet"
+    assert unused == "reproduce unused: no result yet"
     states = [row["state"] for row in json.loads(_call("why", "reproduce", "--json").stdout)["stages"]]
     assert states == ["stale", "missing"]
     _call("reproduce", "tiny")

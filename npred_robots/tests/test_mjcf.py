@@ -195,6 +195,58 @@ def test_gravity_may_point_anywhere(engine, tmp_path):
     np.testing.assert_allclose(tilted.f(np.zeros(4), np.zeros(1))[2:], expected, rtol=1e-12)
 
 
+MOTORS = '<actuator><motor joint="slider" group="3"/><motor joint="hinge" group="31"/></actuator></mujoco>'
+GROUPS = re.sub("<actuator>.*", MOTORS, RAIL, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize("disabled", ["", "3", "0 3 5", "3 31"])
+def test_a_disabled_actuator_is_no_input_as_in_the_engine(engine, tmp_path, disabled):
+    """Its group, of 0 to 30, is that which the engine leaves out: what moves nothing there is not offered here."""
+    text = GROUPS.replace("<option", f'<option actuatorgroupdisable="{disabled}"' if disabled else "<option")
+    if "31" in disabled:
+        with pytest.raises(ConfigError, match="expected an MJCF file"):
+            robot(tmp_path, text)
+        return
+    rail = robot(tmp_path, text)
+    at_rest, _ = by_the_engine(engine, tmp_path, np.zeros(2), np.zeros(2), [0.0, 0.0])
+    moved = [by_the_engine(engine, tmp_path, np.zeros(2), np.zeros(2), sent)[0] for sent in np.eye(2)]
+    acting = [k for k, q in enumerate(moved) if (q != at_rest).any()]
+    assert rail.inputs == tuple(("slider_force", "hinge_torque")[k] for k in acting)
+    for unit, k in zip(np.eye(rail.m), acting, strict=True):
+        np.testing.assert_allclose(rail.f(np.zeros(4), unit)[2:], moved[k], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("option", "new"), [('<option actuatorgroupdisable="3 5"', 'group="5"'), ("<option", 'group="31"')]
+)
+def test_a_file_whose_actuators_are_all_disabled_has_no_input_unless_named(tmp_path, option, new):
+    text = GROUPS.replace('group="31"', new)
+    if new == 'group="31"':
+        text = text.replace('gravity="0 0 0"/>', 'gravity="0 0 0"><flag actuation="disable"/></option>')
+    else:
+        text = text.replace("<option", option)
+    with pytest.raises(ConfigError, match=r"expected a joint with a motor, got none; name them: actuated"):
+        robot(tmp_path, text)
+    named = robot(tmp_path, text, actuated=["hinge"])
+    assert named.inputs == ("hinge_torque",)
+    assert np.abs(named.f(np.zeros(4), np.ones(1)) - named.f(np.zeros(4), np.zeros(1))).max() > 0.1
+
+
+def test_an_input_that_moves_nothing_is_refused(tmp_path):
+    """A servo whose range of targets lies beyond what its force can reach is at its limit all the time."""
+    servo = '<position joint="slider" kp="10" ctrlrange="2 3" forcerange="-1 1"/>'
+    text = RAIL.replace('<motor joint="slider" ctrlrange="-3 3" gear="10"/>', servo)
+    with pytest.raises(ConfigError, match="actuator actuator_0: expected an effect on its joint, got none; take it"):
+        robot(tmp_path, text)
+
+
+def test_an_inertial_that_the_engine_refuses_comes_with_its_body(tmp_path):
+    inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 5"/>'
+    text = RAIL.replace('<body><joint name="hinge"', f'<body name="upper">{inertial}<joint name="hinge"')
+    with pytest.raises(ConfigError, match=r"must satisfy A \+ B >= C.*Element name 'upper'.*; fix the file"):
+        robot(tmp_path, text)
+
+
 def test_forcerange_and_gear_narrow_the_bounds(tmp_path):
     text = RAIL.replace('gear="10"', 'gear="-10" forcerange="-1 2"')
     assert robot(tmp_path, text).input_bounds == [(-20.0, 10.0)]

@@ -48,11 +48,15 @@ def test_what_is_fixed_is_merged():
             "hang on base, found a ring of mount, tool",
         ),
         ('<mass value="1.2"/>', '<mass value="-1"/>', "link forearm: expected a mass of at least 0 kg, got -1"),
-        ('<mass value="1.2"/>', '<mass value="much"/>', "<mass>: value expected a finite number, got 'much'"),
-        ('<mass value="1.2"/>', "", "inertial: expected a <mass>, found none"),
-        ('ixx="0.012"', "", "<inertia>: expected an attribute ixx, found none"),
+        (
+            '<mass value="1.2"/>',
+            '<mass value="much"/>',
+            "link forearm: <mass>: value expected a finite number, got 'much'",
+        ),
+        ('<mass value="1.2"/>', "", "link forearm: <inertial>: expected a <mass>, found none"),
+        ('ixx="0.012"', "", "link \\w+: <inertia>: expected an attribute ixx, found none"),
         ('xyz="0 1 0.2"', 'xyz="0 0 0"', "joint elbow-bend: expected an axis, got one of length 0"),
-        ('xyz="0 1 0.2"', 'xyz="0 1"', "<axis>: xyz expected 3 numbers, got '0 1'"),
+        ('xyz="0 1 0.2"', 'xyz="0 1"', "joint elbow-bend: <axis>: xyz expected 3 numbers, got '0 1'"),
         ('ixx="0.012"', 'ixx="-0.1"', r"link \w+: expected principal moments of inertia of at least 0 kg m², got -0.1"),
         (
             '<link name="mount"/>',
@@ -117,6 +121,42 @@ def test_a_joint_that_moves_no_mass_is_told(tmp_path, kind, mass, message):
     with pytest.raises(ConfigError, match=message):
         urdf.read(path)
     assert len(urdf.read(path, lock=["j2"])) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<inertia ", "<moments ", "link b: <inertial>: expected a <inertia>, found none"),
+        ('izz="0.01"', 'izz="x"', "link b: <inertia>: izz expected a finite number, got 'x'"),
+        ('<origin xyz="0 0 0.2"/>', '<origin rpy="0 0"/>', "link b: <origin>: rpy expected 3 numbers, got '0 0'"),
+        ('velocity="3" effort="10"', 'effort="ten"', "joint j2: <limit>: effort expected a finite number, got 'ten'"),
+        ('<child link="b"/>', "<child/>", "joint j2: <child>: expected an attribute link, found none"),
+        ('<axis xyz="0 1 0"/>', '<dynamics friction="-1"/>', "joint j2: expected a friction of at least 0, got -1"),
+    ],
+)
+def test_a_fault_inside_a_link_or_a_joint_names_it(tmp_path, old, new, message):
+    """The faulty one is the second of two that look alike."""
+    path = write(tmp_path, *TWO)
+    head, middle, tail = path.read_text().rpartition(old)
+    text = head + new + tail.replace("</inertia>", "</moments>") if middle else ""
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=f"robot.urdf: {message}"):
+        urdf.read(path)
+
+
+def test_dry_friction_is_left_out_and_said_once_for_all_joints_that_move(tmp_path, recwarn):
+    rubbing = [f'<dynamics damping="1" friction="{friction}"/>' for friction in ("0.5", "2", "0")]
+    joints = [joint(f"j{k}", "base" if k == 0 else f"l{k - 1}", f"l{k}", more=more) for k, more in enumerate(rubbing)]
+    path = write(tmp_path, *(link(f"l{k}") for k in range(3)), *joints)
+    with pytest.warns(UserWarning, match="robot.urdf: dry friction of j0, j1 left out; npred simulates") as said:
+        rough = urdf.read(path)
+    assert len(said) == 1
+    path.write_text(path.read_text().replace("friction", "other"))
+    assert [body.damping for body in rough] == [body.damping for body in urdf.read(path)] == [1.0] * 3
+    assert not recwarn.list
+    path.write_text(path.read_text().replace("other", "friction"))
+    with pytest.warns(UserWarning, match="dry friction of j1 left out"):
+        urdf.read(path, lock=["j0"])
 
 
 def test_a_link_without_mass_between_two_joints_is_no_mistake(tmp_path):

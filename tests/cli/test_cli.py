@@ -55,12 +55,12 @@ def test_people_get_the_summary_and_its_name(call: Call):
     assert result.exit_code == 0
     assert result.stdout.startswith("summary of {'rows'")
     assert re.search(r"^bench: bench/[0-9a-f]{12}$", result.stdout, re.MULTILINE)
-    assert "bench: running (no artifact yet)" in result.stderr
+    assert "bench: running (no result yet)" in result.stderr
 
 
 def test_wide_adds_the_table_of_stages_the_details_and_the_folder(call: Call):
     result = call("bench", "tiny.toml", "--wide")
-    assert re.search(r"^train fno +[0-9a-f]{12} +run +[0-9.]+ +no artifact yet$", result.stdout, re.MULTILINE)
+    assert re.search(r"^train fno +[0-9a-f]{12} +run +[0-9.]+ +no result yet$", result.stdout, re.MULTILINE)
     folder = re.search(r"^bench: (.+)$", result.stdout, re.MULTILINE)
     assert folder is not None
     assert (Path(folder[1]) / "manifest.json").is_file()
@@ -83,7 +83,7 @@ def test_a_run_leaves_its_log_in_the_store(call: Call):
     (log,) = Path("artifacts/logs").iterdir()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d-\d{6}-tiny.log", log.name)
     text = log.read_text()
-    for words in ("npred ", "generate: running (no artifact yet)", "report: done after "):
+    for words in ("npred ", "generate: running (no result yet)", "report: done after "):
         assert words in text
     assert call("status", "tiny.toml").exit_code == 0 and len(list(log.parent.iterdir())) == 1
 
@@ -170,7 +170,7 @@ def test_why_names_the_key_before_and_after(call: Call):
     changed = ("--set", "train.deeponet.epochs=40")
     assert call("why", "deeponet", "tiny.toml", *changed).stdout == "train deeponet: train.deeponet.epochs: 30 -> 40\n"
     (row,) = document(call("why", "evaluate", "tiny.toml", "--json", *changed))["stages"]
-    assert row["reason"] == "stale: upstream deeponet will run (train.deeponet.epochs: 30 -> 40)"
+    assert row["reason"] == "stale: deeponet runs first (train.deeponet.epochs: 30 -> 40)"
 
 
 def test_show_ls_and_diff(call: Call):
@@ -292,7 +292,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
     [
         (["run", "none.toml"], 2, "none.toml: expected a pipeline file"),
         (["run", "tiny.toml", "--set", "generate.dtt=1"], 2, "generate.dtt: unknown key"),
-        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx[0]: Input should be greater than 0, got -0.1"),
+        (["run", "tiny.toml", "--set", "bench.dx=[-0.1]"], 2, "bench.dx[0]: expected a number above 0, got -0.1"),
         (["run", "tiny.toml", "--set", "plant=nonesuch"], 2, "nonesuch"),
         (["run", "tiny.toml", "--set", "plant=broken.py:Tank"], 2, "broken.py"),
         (["run", "tiny.toml", "--set", "parameters.zz=1"], 2, "zz"),
@@ -313,7 +313,7 @@ def test_the_executor_may_be_set_for_good_and_is_in_no_key(call: Call, monkeypat
         (
             ["run", "tiny.toml", "--set", "generate.D=-1"],
             2,
-            "generate.D: Input should be a valid tuple or greater than 0, got -1",
+            "generate.D: expected a list or a number above 0, got -1",
         ),
         (["identify", "log.csv", "--plant", "scalar", "--input", "q"], 2, "expected --input NAME=COLUMN, got 'q'"),
         (["diff", "0123", "4567"], 2, "expected one artifact"),

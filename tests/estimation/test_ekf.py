@@ -256,6 +256,37 @@ def test_the_spread_is_that_of_the_errors():
     assert (np.abs(means - sizes) < 4 * np.sqrt(2 * sizes / runs)).all()
 
 
+@pytest.mark.parametrize("kind", [EKF, npred.observers.Luenberger])
+def test_some_of_the_plants_outputs_and_states_may_be_measured(kind):
+    """A state, and the plant's second output: what is measured, and its derivative, are those two's."""
+    observer = kind(npred.plant(Swing), outputs=("angle", "product"))
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 2))
+    product = points[:, 1] * np.cos(points[:, 0]) + points[:, 0]
+    np.testing.assert_allclose(observer.measured(points), np.stack([points[:, 0], product], axis=1), rtol=1e-15)
+    for angle, rate in points:
+        slope = [1.0 - rate * np.sin(angle), np.cos(angle)]
+        _, C = observer.linearised(np.array([angle, rate]), np.zeros(1))
+        np.testing.assert_allclose(C, [[1.0, 0.0], slope], rtol=1e-14)
+
+
+def test_one_named_output_of_the_plant_serves_as_the_only_one_that_it_has():
+    """EKF(outputs=("product",)) in a loop is the EKF of the plant that declares this output alone, number by number."""
+
+    class Alone(Swing):
+        outputs = ("product",)
+        output = lambda x, t, p, M: [x.rate * M.cos(x.angle) + x.angle]
+
+    whole, alone = npred.plant(Swing), npred.plant(Alone)
+    loops = [
+        npred.simulate(
+            plant, npred.predictor(plant, "rk4", 11), D=0.1, D_hat=0.1, X0=[0.4, 0.0], t_end=2.0, dt=0.01,
+            actuator="history", observer=EKF(plant, outputs=("product",)), measurement=npred.Measurement(noise=0.01),
+        )
+        for plant in (whole, alone)
+    ]  # fmt: skip
+    np.testing.assert_array_equal(loops[0].X, loops[1].X)
+
+
 def test_all_states_are_the_outputs_of_a_plant_without_output():
     observer = EKF(built_in("chemostat"))
     assert observer.outputs == ("Z", "S") and observer.settings.shape == (2 + 4,)
@@ -308,6 +339,11 @@ def test_a_plant_that_outputs_tell_of_only_at_frozen_times_is_refused():
         (lambda: EKF(built_in("cart_pole"), outputs=("theta",)), "rank 2 of 4; measure more"),
         (lambda: EKF(built_in("pvtol"), outputs=("x",), offset=True), "leave the offset out"),
         (lambda: EKF(built_in("chemostat"), outputs=("X",)), "outputs: expected states, Z, S, got 'X'; name one"),
+        (
+            lambda: EKF(npred.plant(Swing), outputs=("angel",)),
+            "states or outputs of the plant, angle, rate, height, product, got 'angel'; did you mean angle",
+        ),
+        (lambda: EKF(built_in("chemostat"), outputs=()), "outputs expected a tuple of names, got (); write"),
         (lambda: EKF(built_in("chemostat"), R=[1.0, 2.0], outputs=("S",)), "R expected one number or shape (1,)"),
         (lambda: EKF(built_in("chemostat"), R=0.0), "R expected variances above 0"),
         (lambda: EKF(built_in("chemostat"), Q=[[1.0, 2.0], [2.0, 1.0]]), "Q expected a symmetric matrix"),

@@ -315,6 +315,16 @@ def plant_of(f):
         (lambda x, u, t, p, M: [x.v, x.h(t - 1)], "only inputs arrive late; for a state x.h at t - tau declare states"),
         (lambda x, u, t, p, M: [x(t - 1)[1], u.q], "only inputs arrive late; for a state"),
         (lambda x, u, t, p, M: [x.v, u(t - 1)[0]], "inputs arrive late by themselves: write u.name for U"),
+        (lambda x, u, t, p, M: [x.v, u.q(t - 1)], "inputs arrive late by themselves: write u.q for U"),
+        (lambda x, u, t, p, M: [x.v, u[0](t)], r"inputs arrive late by themselves: write u\[0\] for U"),
+        (lambda x, u, t, p, M: [x.v, p.c(x.h + 1)], r"write \* for a product"),
+        (lambda x, u, t, p, M: [x.v, x.h(x.v + 1)], r"write \* for a product"),
+        (lambda x, u, t, p, M: [x.v, u.q - x.h^2], r"write \*\* for a power"),
+        (lambda x, u, t, p, M: [x.v, 2^x.h], r"write \*\* for a power"),
+        (lambda x, u, t, p, M: [x.v, u.q + maths.sin(x.h)], "name 'maths' is not defined; write M.sin$"),  # noqa: F821
+        (lambda x, u, t, p, M: [x.v, numpy.linalg.norm(x.h)], "write M.sqrt of the sum"),  # noqa: F821
+        (lambda x, u, t, p, M: [maths.pi, u.q], "write M.pi$"),  # noqa: F821
+        (lambda x, u, t, p, M: [x.v, json.loads(x.h)], "what the file defines; write import json above"),  # noqa: F821
         (lambda x, u, t, p, M: [x.v, u.q + M.arctan(x.h)], "got 'arctan'; write M.atan$"),
     ],
 )  # fmt: skip
@@ -327,6 +337,20 @@ def test_what_cannot_be_traced_names_the_way_out(wrong, cure):
 def test_on_arrays_they_do_so_too():
     with pytest.raises(ConfigError, match=r"expected one of M's .*; write M.atan2$"):
         plant_of(lambda x, u, t, p, M: [x.v, M.arctan2(x.h, x.v)]).f(np.ones((3, 2)), np.ones((3, 1)))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "cure"),
+    [
+        (lambda x, u, t, p, M: [x.v, x.h^2 + u.q], r"write \*\* for a power"),
+        (lambda x, u, t, p, M: [x.v, p.c^2 + u.q], r"write \*\* for a power"),
+        (lambda x, u, t, p, M: [x.v, u.q(t - 1)], "inputs arrive late by themselves: write u.q"),
+        (lambda x, u, t, p, M: [x.v, x.h(t - 1)], "only inputs arrive late"),
+    ],
+)  # fmt: skip
+def test_arrays_of_states_have_the_same_advice_as_symbols(wrong, cure):
+    with pytest.raises(ConfigError, match=cure):
+        plant_of(wrong).f(np.ones((3, 2)), np.ones((3, 1)))
 
 
 def test_a_casadi_function_names_the_way_out():

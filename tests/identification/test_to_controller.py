@@ -113,7 +113,7 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
         ({"accurate": False}, "There is no answer: the model is too fast for the samples"),
         (
             {"validation": Validation({"model": 1.0, "static": 0.5}, "static")},
-            "Predictions by constant gains alone err by 0.5, those of the model by 1.",
+            "The error of predictions is 0.5 by constant gains alone, and 1 by the model.",
         ),
         (
             {"combination": Combination(["k", "c"], [1.0, -2.0], 3.0, 0.01)},

@@ -12,6 +12,8 @@ import pytest
 from c_controllers import FLAGS, InC, library, needs_gcc
 from conftest import HERE
 from fmus import InFmu, exported, needs_cc
+from hypothesis import given
+from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator
 from scipy.optimize import root
 
@@ -22,7 +24,7 @@ from npred.exports import c_controller
 from npred.lab.config import Evaluate
 from npred.lab.config.conditions import Condition
 from npred.lab.stages.evaluate.behaviour import behaviour
-from npred.loop import metrics
+from npred.loop import metrics, settable
 from npred.networks.fused import Fused
 
 SPEC = importlib.util.spec_from_file_location("setpoints", HERE.parent / "benchmarks" / "setpoints.py")
@@ -329,6 +331,35 @@ def test_the_simulated_plant_reads_the_parameter_too(more):
     np.testing.assert_allclose(run.X[[-1]], [[0.0, 0.0]], atol=1e-6)
     assert run.U[-1] == pytest.approx(2.0, abs=1e-6) and np.abs(run.X[510:560]).max() > 0.01
     assert cart.p[0] == cart.parameters["load"] == 0.5  # which other loops share
+
+
+ONE = st.lists(
+    st.tuples(st.integers(0, 9), st.floats(-2, 2)), min_size=1, max_size=4, unique_by=lambda change: change[0]
+)
+CART = npred.plant(Loaded)
+
+
+@given(load=ONE, aim=ONE, first=st.sampled_from(["load", "aim"]))
+def test_two_courses_are_set_each_at_its_own_times_whichever_is_named_first(load, aim, first):
+    """From a time on each parameter has the last of its own values, and before its first one the declared value."""
+    courses = {name: sorted(changes) for name, changes in (("load", load), ("aim", aim))}
+    names = [first, *(name for name in courses if name != first)]
+    given_ones = {name: tuple(map(list, zip(*courses[name], strict=True))) for name in names}
+    pieces = settable.course(CART, given_ones)
+    starts = sorted({float(time) for changes in courses.values() for time, _ in changes})
+    assert [piece.start for piece in pieces] == [-np.inf, *starts]
+    for piece in pieces:
+        past = {name: [value for time, value in each if time <= piece.start] for name, each in courses.items()}
+        now = {name: values[-1] for name, values in past.items() if values}
+        assert piece.values == now
+        assert dict(zip(CART.p_names, piece.p, strict=True)) == CART.parameters | now
+    t = np.arange(0.0, 12.0, 0.5)
+    X, U = settable.targets(CART, pieces, t)
+    for name, found in (("aim", X[:, 0]), ("load", U[:, 0])):  # the cart rests at its aim, by an input as its load
+        times, values = np.array(courses[name], dtype=float).T
+        places = np.searchsorted(times, t, side="right") - 1
+        expected = np.where(places < 0, CART.parameters[name], values[places])
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize(

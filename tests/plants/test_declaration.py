@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -107,12 +108,38 @@ def plant(**parts):
         ({"delays": (-0.1,)}, r"delays\[0\]: expected a time, 0 or more, got -0.1"),
         ({"delays": ("late",)}, r"delays\[0\]: expected a time, 0 or more, got 'late'"),
         ({"f": 3}, "f: expected a function, got 3"),
+        ({"inputs": ("q")}, r"inputs: expected different names, .* got 'q'; write \(\"q\",\), with the comma"),
+        ({"states": "h, v"}, r"states: expected different names, .* got 'h, v'; write \(\"h\", \"v\"\), with"),
+        ({"guess": 1}, r"guess: expected one number per state, got 1; write \(1,\), with the comma"),
+        ({"delays": 0.1}, r"delays: expected the time of each input, got 0.1; write \(0.1,\), with the comma"),
     ],
 )
 def test_a_wrong_part_is_told_in_one_line(parts, message):
     with pytest.raises(ConfigError, match=message) as caught:
         plant(**parts)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "value", ["1.0", b"1", True, np.True_, np.array("1.0"), np.array(True), np.array([1.0]), [1.0]]
+)
+@pytest.mark.parametrize("part", ["parameters", "box", "guess", "input_bounds", "state_bounds", "delays", "period"])
+def test_a_number_is_no_text_no_truth_value_and_no_array(part, value):
+    """float() makes 1.0 of each of them."""
+    shapes = {"parameters": {"c": value}, "period": value, "input_bounds": [(0.0, value)]}
+    shapes |= dict.fromkeys(("guess", "delays"), (value,))
+    shapes |= {part: {"h": (0.0, value)} for part in ("box", "state_bounds")}
+    with pytest.raises(ConfigError, match=rf"plant Tank: {part}.*: expected a") as caught:
+        plant(**{part: shapes[part]})
+    assert repr(value) in str(caught.value)
+    if part == "parameters":
+        with pytest.raises(ConfigError, match=r"parameters\['c'\]: expected a finite number"):
+            Plant("Tank", Tank, {"c": value})
+
+
+@pytest.mark.parametrize("value", [1, np.float32(1), np.int64(1), np.array(1.0), Fraction(1)])
+def test_a_number_may_be_of_any_kind(value):
+    assert plant(parameters={"c": value}).parameters == {"c": 1.0}
 
 
 def test_what_is_no_part_begins_with_an_underscore_in_bases_too():
@@ -152,6 +179,87 @@ def test_labels_and_units_are_no_part_of_what_a_result_depends_on():
     written = Slices(config.Pipeline(plant=""), named, None, "cpu").notation["notation"]
     assert written == {"labels": {"h": "level"}, "units": {"h": "m", "q": "m^3/h"}, "time_unit": "h", "figure": ""}
     assert identity(named) == identity(plant())
+
+
+class Everything(Tank):
+    """All that the identity of a traced plant holds."""
+
+    input_bounds, state_bounds, period = [(0.0, 2.0)], {"h": (0.0, 3.0)}, 4.0
+    f = staticmethod(lambda x, u, t, p, M: [u[0] - p.c * x[0]])
+    V = staticmethod(lambda x, t, p, M: x[0] ** 2)
+    kappa = staticmethod(lambda x, t, p, M: [p.c - x[0] + M.sin(2 * M.pi * t / 4.0)])
+    delay = staticmethod(lambda x, t, p, M: 0.1)
+    reference = staticmethod(lambda t, p, M: [M.sin(2 * M.pi * t / 4.0)])
+
+
+OTHERS = {
+    "states": ("level",), "inputs": ("flow",), "parameters": {"c": 0.6}, "box": {"h": (0.5, 2.5)}, "guess": (1.5,),
+    "input_bounds": [(0.0, 3.0)], "state_bounds": {"h": (0.0, 4.0)}, "period": 2.0,
+    "f": staticmethod(lambda x, u, t, p, M: [u[0] - p.c * x[0] * x[0]]),
+    "kappa": staticmethod(lambda x, t, p, M: [p.c - 2 * x[0] + M.sin(2 * M.pi * t / 4.0)]),
+    "V": staticmethod(lambda x, t, p, M: x[0] ** 4),
+    "delay": staticmethod(lambda x, t, p, M: 0.2),
+    "reference": staticmethod(lambda t, p, M: [M.cos(2 * M.pi * t / 4.0)]),
+}  # fmt: skip
+SHOWN = {"labels", "units", "time_unit", "figure"}  # by figures only
+SLICED = {"mechanics", "output", "outputs", "safe"}  # of results that read them, below
+OF_KINDS = {"rollout", "delays", "setpoint"}  # of a black box, of several inputs, in place of the reference
+
+
+def test_each_part_that_a_result_depends_on_tells_plants_apart():
+    assert OTHERS.keys() | SHOWN | SLICED | OF_KINDS == Declaration.model_fields.keys()
+    same, other = (Plant("Tank", type("Changed", (Everything,), {})) for _ in range(2))
+    assert identity(same) == identity(other)
+    for part, value in OTHERS.items():
+        renamed = {"box": {}, "state_bounds": {}} if part == "states" else {}
+        here = Plant("Tank", type("Changed", (Everything,), renamed))
+        there = Plant("Tank", type("Changed", (Everything,), renamed | {part: value}))
+        assert identity(here) != identity(there), part
+
+
+def mover(**parts):
+    """A plant with two inputs, and what only some results read."""
+    return Plant("Mover", type("Mover", (Mover,), parts))
+
+
+class Mover:
+    states, inputs, delays = ("x", "v"), ("a", "b"), (0.1, 0.2)
+    box = {"x": (0.0, 1.0), "v": (0.0, 1.0)}
+    f = staticmethod(lambda x, u, t, p, M: [x.v, u.a + u.b - x.v])
+    kappa = staticmethod(lambda x, t, p, M: [-x.x, -x.v])
+    mechanics = staticmethod(lambda x, u, t, p, M: ([[1.0]], [u.a + u.b], [1.0]))
+    output = staticmethod(lambda x, t, p, M: [x.x, x.v])
+    safe = staticmethod(lambda x, t, p, M: [1.0 - x.x])
+
+
+MECHANICS = {"mechanics": staticmethod(lambda x, u, t, p, M: ([[2.0]], [2 * u.a + 2 * u.b], [2.0]))}
+OUTPUT = {"output": staticmethod(lambda x, t, p, M: [x.x + x.v, x.v])}
+SAFE = {"safe": staticmethod(lambda x, t, p, M: [2.0 - x.x])}
+
+
+def test_delays_of_the_inputs_tell_plants_apart():
+    assert identity(mover()) != identity(mover(delays=(0.2, 0.1)))
+
+
+@pytest.mark.parametrize(
+    ("stage", "table", "part", "told"),
+    [
+        ("evaluate", {}, MECHANICS, True),  # a guard may choose the method that reads it
+        ("evaluate", {"predictor": "semi_implicit"}, MECHANICS, True),
+        ("generate", {"predictor": "semi_implicit"}, MECHANICS, True),
+        ("generate", {}, MECHANICS, False),
+        ("evaluate", {}, SAFE, True),  # it says how limits are kept
+        ("generate", {"actuator": "history", "safety": {}}, SAFE, True),
+        ("generate", {}, SAFE, False),
+        ("generate", {"actuator": "history", "observer": {}}, OUTPUT, True),
+        ("evaluate", {"actuator": "history", "scenarios": [{"name": "a", "observer": {}}]}, OUTPUT, True),
+        ("evaluate", {}, OUTPUT, False),
+    ],
+)
+def test_loops_depend_on_the_parts_that_they_read_and_on_no_others(stage, table, part, told):
+    pipeline = config.parse({"plant": "", stage: {"gamma": 1.0} | table}, "p.toml")
+    here, there = (Slices(pipeline, plant, None, "cpu").loop(stage) for plant in (mover(), mover(**part)))
+    assert (here != there) is told
 
 
 def test_every_part_that_is_read_stands_on_the_page_of_the_declaration():

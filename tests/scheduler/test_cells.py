@@ -62,7 +62,7 @@ def test_without_lists_there_is_one_cell(pipeline: Path):
     [
         (["seed"], "expected key.path=value, got 'seed'"),
         (["=3"], "expected key.path=value"),
-        (["seed=1,-1"], "seed: Input should be greater than or equal to 0, got -1"),
+        (["seed=1,-1"], "seed: expected at least 0, got -1"),
         (["seed=0:1000", "bench.calls=1:1001"], "at most 100000 cells"),
         (["nonsense=1,2"], "nonsense: unknown key"),
     ],

@@ -155,7 +155,7 @@ def test_the_closest_earlier_result_gives_the_reason(run: Run, pipeline: Path):
 def test_another_pipelines_results_give_hits_but_no_reasons(run: Run, pipeline: Path):
     run("name=other")
     assert ran(run()) == ["report"]  # which bears the pipeline's name
-    assert plan(pipeline, "train.fno.epochs=5")["fno"] == "no artifact yet"
+    assert plan(pipeline, "train.fno.epochs=5")["fno"] == "no result yet"
 
 
 def test_many_differences_are_counted(run: Run, pipeline: Path):
@@ -165,10 +165,10 @@ def test_many_differences_are_counted(run: Run, pipeline: Path):
 
 
 def test_a_plan_says_what_waits_for_what_and_why(run: Run, pipeline: Path, fakes: Path):
-    assert plan(pipeline)["fno"] == "no artifact yet: upstream generate will run (no artifact yet)"
+    assert plan(pipeline)["fno"] == "no result yet"
     run()
     found = plan(pipeline, "generate.rollouts=60", "train.fno.epochs=5")
-    cause = "upstream generate will run (generate.rollouts: 50 -> 60)"
+    cause = "generate runs first (generate.rollouts: 50 -> 60)"
     assert found["deeponet"] == found["bench"] == f"stale: {cause}"
     assert found["fno"] == f"stale: train.fno.epochs: 100 -> 5; {cause}"
     assert len(fakes.read_text().splitlines()) == 6
@@ -204,6 +204,18 @@ def test_a_stage_that_fails_leaves_its_checkpoint_and_nothing_else(run: Run, fak
     assert ran(run()) == [*ALL[1:]]
     assert "train:deeponet:resumed" in fakes.read_text().splitlines()
     assert store.leftovers() == []
+
+
+def test_a_stage_that_fails_without_a_checkpoint_leaves_nothing(run: Run, pipeline: Path, monkeypatch):
+    def fails(job):
+        (job.scratch / "checkpoint").unlink()
+        raise ZeroDivisionError
+
+    monkeypatch.setitem(fake_stages.ANSWERS, "generate", fails)
+    with pytest.raises(ZeroDivisionError):
+        run(targets=("generate",))
+    store = Store(pipeline.parent / "store")
+    assert store.leftovers() == [] and list((store.root / ".scratch").iterdir()) == []
 
 
 def test_where_it_runs_enters_the_key_of_bench_only(pipeline: Path):

@@ -55,7 +55,7 @@ DIGESTS = "[0-9a-f]{12} -> [0-9a-f]{12}"
 def test_another_formula_is_told_by_its_function(edit, call, pipeline):
     reasons = edit("tank.py", "2 - x.h", "3 - x.h")
     assert re.fullmatch(f"plant.program.kappa: {DIGESTS}", reasons["generate"])
-    assert reasons["fno"].startswith(f"stale: {reasons['generate']}; upstream generate will run")
+    assert reasons["fno"].startswith(f"stale: {reasons['generate']}; generate runs first")
     assert call("why", "generate", pipeline, "--store", "store").stdout == f"generate: {reasons['generate']}\n"
 
 

@@ -73,7 +73,7 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
         ({"generate": {"box": {"x1": [3, 1]}}}, "generate.box.x1: expected .* low <= high"),
         (
             {"generate": {"box": {"x1": [0, float("inf")]}}},
-            r"generate.box.x1\[1\]: Input should be a finite number, got inf",
+            r"generate.box.x1\[1\]: expected a finite number, got inf",
         ),
     ],
 )

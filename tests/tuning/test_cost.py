@@ -1,11 +1,15 @@
 """The cost of `npred tune` against docs/tune.md read literally: its loops, and only the starts of npred's tuning."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+import npred
 from npred import plants
 from npred.lab import config
-from npred.lab.stages.tuning import Loops, Yardstick
+from npred.lab.stages.tuning import Loops, Settling, Yardstick
 from npred.plants import Plant
 
 DT, EFFORT = 0.005, 0.1
@@ -53,6 +57,27 @@ def cost(tau: np.ndarray, E: np.ndarray, present: tuple[np.ndarray, np.ndarray])
     """tau / tau_0 + w E / (E + E_0), and tau / tau_0 + w where a loop does not settle."""
     E_0 = present[1][np.isfinite(present[1])].mean()
     return tau / present[0].mean() + EFFORT * np.where(np.isfinite(E), E / (np.where(np.isfinite(E), E, 0) + E_0), 1.0)
+
+
+@pytest.mark.parametrize("overflows_at", [0, 3, 50, 99])
+def test_a_loop_that_overflows_at_t_has_4_T_less_t_and_all_of_the_effort(overflows_at: int):
+    """Beside it one that settles, one that stays away and one that swings: any that overflows is later than they are,
+    the sooner it does so the more.
+    """
+    plant, t = npred.plant("van_der_pol"), np.linspace(0.0, 5.0, 101)
+    X = np.zeros((4, 101, 2))
+    X[0, :20], X[1], X[2, :, 0] = 1.0, 7.0, 100 * np.sin(t)
+    X[3, overflows_at:] = np.nan
+    loops = SimpleNamespace(t=t, X=X, U=np.zeros((4, 101, 1)), target=None, u_target=None, safety=None)
+    found = Settling.of(cast(Any, loops), plant, 4)
+    share = overflows_at / 101
+    assert found.time[3, 0] == pytest.approx((4 - share) * 5.0, rel=1e-12)
+    assert found.time[0, 0] == pytest.approx(t[20]) and (found.time[:3, 0] < found.time[3, 0]).all()
+    assert found.settled[:, 0].tolist() == [True, False, False, False] and np.isinf(found.effort[1:]).all()
+    failed = Settling.failed(found, 5.0)
+    assert (failed.time == 4 * 5.0).all() and (failed.time >= found.time).all() and not failed.settled.any()
+    costs = Yardstick(1.0, 1.0, EFFORT).costs(found)[:, 0]
+    assert costs[3] == pytest.approx((4 - share) * 5.0 + EFFORT) and costs.argmax() == 3
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -42,9 +42,9 @@ class Sizes(NamedTuple):
 class Observer(ABC):
     """An observer of the state X of a plant, from the commands and from samples Y of its outputs.
 
-    The outputs are those that the plant declares by output(x, t, p, M), else all states, else the states that `outputs`
-    names. With `offset` the observer also finds what is added to each input before the plant, X' = f(X, U + d).
-    Its memory begins with X (n), then d (m), zeros without `offset`.
+    The outputs are those that the plant declares by output(x, t, p, M), else all states; or those of its outputs and
+    states that `outputs` names. With `offset` the observer also finds what is added to each input before the plant,
+    X' = f(X, U + d). Its memory begins with X (n), then d (m), zeros without `offset`.
 
     X0 (n,) is the state to begin with. By default it is the middle of the plant's box, and for a state without a range
     there the equilibrium, or the reference at t = 0, or the guess.
@@ -64,13 +64,15 @@ class Observer(ABC):
         if not plant.traced:
             came = f"{plant.name}, which says traced = False"
             raise ConfigError(f"{self.label}: expected a plant that is traced, got {came}; write f with M's functions")
-        if isinstance(outputs, str):
-            cure = f'write ("{outputs}",)'
-            raise ConfigError(f"{self.label}: outputs expected a tuple of states, got {outputs!r}; {cure}")
+        if isinstance(outputs, str) or (outputs is not None and not len(outputs)):
+            cure = f'write ("{outputs or plant.outputs[0]}",)'
+            raise ConfigError(f"{self.label}: outputs expected a tuple of names, got {outputs!r}; {cure}")
         self.outputs = plant.outputs if outputs is None else tuple(outputs)
-        for name in () if outputs is None else self.outputs:
-            if name not in plant.states:
-                raise ConfigError(unlisted(f"{self.label}: outputs", name, plant.states, "states,"))
+        names = dict.fromkeys((*plant.states, *plant.outputs))
+        for name in self.outputs:
+            if name not in names:
+                kind = "states or outputs of the plant," if plant.declares_output else "states,"
+                raise ConfigError(unlisted(f"{self.label}: outputs", name, names, kind))
         self.offset = offset is not False
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
         rank = self._rank()
@@ -197,11 +199,13 @@ class Observer(ABC):
 
     def measured(self, X: np.ndarray, t: float = 0.0) -> np.ndarray:
         """The outputs (..., l) of states (..., n)."""
-        return X[..., self._places] if self._selects else self.plant.output(X, t)
+        every = X if self._selects else np.concatenate([X, self.plant.output(X, t)], axis=-1)
+        return every[..., self._places]
 
     def traced_outputs(self, trace: Trace, x: np.ndarray, t: Value) -> list[Value]:
         """The outputs (l,) on a trace."""
-        return [*(x[self._places] if self._selects else trace.output(x, t))]
+        every = [*x] if self._selects else [*x, *trace.output(x, t)]
+        return [every[place] for place in self._places]
 
     def measure(self) -> Kernel:
         """npred.prediction.delays.problem.OUTPUT: the outputs of a state, without errors."""
@@ -224,12 +228,20 @@ class Observer(ABC):
 
     @property
     def _places(self) -> list[int]:
-        return [self.plant.states.index(name) for name in self.outputs]
+        """Their places among the states and then the plant's outputs. Of two that share a name it is the state, unless
+        all of the plant's outputs are meant.
+        """
+        states, outputs = self.plant.states, self.plant.outputs
+        own = self.plant.declares_output and self.outputs == outputs
+        return [
+            states.index(name) if name in states and not own else len(states) + outputs.index(name)
+            for name in self.outputs
+        ]
 
     @property
     def _selects(self) -> bool:
-        """True if the outputs are states, and not the plant's own."""
-        return self.outputs != self.plant.outputs or not self.plant.declares_output
+        """True if the outputs are states, and none of the plant's own."""
+        return max(self._places) < self.plant.n
 
     def _by_state(self, trace: Trace) -> tuple[list[Value], list[Value]]:
         """The outputs (l,) at x and t, and their derivatives by the state (l n,), output by output."""

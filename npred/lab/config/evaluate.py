@@ -102,7 +102,7 @@ class Evaluate(LoopTable):
     t_end: Positive = 40.0  #: length of the loop of Fig. 1; times D
     nx: Nodes = 51  #: nodes of the predictors and of u; networks take any number
     D: Positive = 1.0  #: true delay
-    X0: list[float] = []  #: start of Fig. 1, one number per state; required
+    X0: list[Number] = []  #: start of Fig. 1, one number per state; required
     D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
     case_states: Count = 10  #: random initial states of the cases …
     case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D

@@ -2,6 +2,7 @@
 
 import os
 import re
+import reprlib
 import stat
 import tomllib
 from collections.abc import Iterator
@@ -11,8 +12,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from npred.base import defaults
+from npred.base import defaults, json_files
 from npred.base.errors import ConfigError, similar
+from npred.lab.config import words
 from npred.lab.config.pipeline import Pipeline
 from npred.lab.config.section import Section, map_paths, tables
 
@@ -99,30 +101,42 @@ def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first fault of a pipeline: its key, pydantic's words, and the value."""
-    first: Any = error.errors()[0]
-    loc = first["loc"] + (tuple(first["ctx"].values()) if first["type"] == "extra_forbidden" and "ctx" in first else ())
-    # without a union's types
-    path = [part for part in loc if isinstance(part, int) or (part.isidentifier() and part != "float")]
+    """The first fault of a pipeline: its key, what was expected there, and what came. A key that is unknown comes
+    first: what is below it was meant for another table, which may be faulty without it.
+    """
+    found: list[Any] = error.errors()
+    first = min(found, key=lambda each: (each["type"], len(each["loc"])) != ("extra_forbidden", 1))
+    unknown, path = first["type"] == "extra_forbidden", _path(first)
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
-    if first["type"] == "extra_forbidden":
-        keys, leaf = list(_leaves()), str(loc[-1])
+    where = json_files.escaped(where)
+    if unknown:
+        keys, leaf = list(_leaves()), str(path[-1])
         table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
         there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
         expected = f"; expected one of {', '.join(there)}" if there else ""
         elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
         near = similar(leaf, there) or similar(leaf, [part for key in keys for part in key.split(".")])
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
-    if first["type"] in ("fault", "missing"):
+    if first["type"] == "fault":
         return f"{where}: {first['msg']}"
+    if first["type"] == "missing":
+        return f"{where}: expected a value, got none; write it"
     if first["type"] == "value_error":  # which begins with a key; a dataclass names itself
         said = str(first["ctx"]["error"])
         above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
         return f"{above + '.' if above else ''}{said}"
-    said = dict.fromkeys(each["msg"] for each in error.errors() if each["loc"][: len(path)] == tuple(path))
-    expected, came = " or ".join(said).replace(" or Input should be", " or"), first["input"]
-    near = similar(str(came), re.findall(r"'(.*?)'", expected))
-    return f"{where}: {expected}, got {came!r}{near}"
+    said = [words.expected(each) for each in found if _path(each)[: len(path)] == path]
+    kinds, came = " or ".join(dict.fromkeys(kind for kind, _ in said)), first["input"]
+    near = similar(str(came), re.findall(r"'(.*?)'", kinds)) or f"; {said[0][1]}"
+    return f"{where}: expected {kinds}, got {reprlib.repr(came)}{near}"
+
+
+def _path(error: Any) -> list[str | int]:
+    """Where an error is: its keys and places in lists, without the names of a union's types."""
+    unknown = error["type"] == "extra_forbidden"
+    loc = [*error["loc"], *(error.get("ctx", {}).values() if unknown else ())]
+    keys, key = (loc[:-1], loc[-1:]) if unknown else (loc, [])  # an unknown one may be anything
+    return [part for part in keys if isinstance(part, int) or (part.isidentifier() and part != "float")] + key
 
 
 def _leaves(model: type = Pipeline, path: str = "") -> Iterator[str]:

@@ -17,6 +17,7 @@ from npred.lab.config.section import (
     Positive,
     Range,
     Section,
+    Switch,
     built,
 )
 from npred.loop import control_step
@@ -36,8 +37,8 @@ class StateObserver(Section):
     """An observer that estimates the state from the plant's outputs."""
 
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
-    outputs: list[str] | None = None  #: the measured states; by default the plant's outputs
-    offset: bool = False  #: whether it also estimates an offset of each input
+    outputs: list[str] | None = None  #: what is measured, of the plant's outputs and states; by default its outputs
+    offset: Switch = False  #: whether it also estimates an offset of each input
 
 
 class Disturbance(Section):
@@ -109,7 +110,7 @@ class LoopTable(Section):
         low, high = bounds if len(bounds) == 2 else (0.0, math.inf)
         filled = {key: _times(D, fields[key].default, low, high) for key in cls.follows}
         filled |= {key: D * fields[key].default for key in cls.lasting}
-        filled |= {"dt": min(control_step.usual(D), (filled | data)["t_end"])}
+        filled |= {"dt": min([control_step.usual(D), *(end for end in _ends((filled | data)["t_end"]) if end > 0)])}
         data = _with_omega(filled | data, D)
         if isinstance(data.get("scenarios"), list):
             data["scenarios"] = [_with_omega(scenario, D) for scenario in data["scenarios"]]

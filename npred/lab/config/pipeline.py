@@ -10,7 +10,19 @@ from npred.base import registry
 from npred.base.registry import METHODS
 from npred.lab.config.evaluate import Evaluate
 from npred.lab.config.loop import LoopTable
-from npred.lab.config.section import Baseline, Count, Delay, Kappa, Positive, Range, Runtime, Section, Some, Span
+from npred.lab.config.section import (
+    Baseline,
+    Count,
+    Delay,
+    Kappa,
+    Number,
+    Positive,
+    Range,
+    Runtime,
+    Section,
+    Some,
+    Span,
+)
 from npred.lab.config.train import Train
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # a pipeline's name
@@ -32,9 +44,9 @@ class Generate(LoopTable):
     #: ranges of D_hat(0), an equal share of rollouts each; times D
     D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
     box: dict[str, Span] = {}  #: range of each initial state; by default the plant's
-    test_share: Annotated[float, Field(gt=0, lt=1)] = 0.1  #: share of held-out rollouts
-    explore: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of exploring rollouts
-    redraw: Annotated[float, Field(ge=0, lt=1)] = 0.0  #: share of redrawn rows
+    test_share: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.1  #: share of held-out rollouts
+    explore: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0  #: share of exploring rollouts
+    redraw: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0  #: share of redrawn rows
     #: largest distance of redrawn rows from the loop, in standard deviations of X and u
     spread: Delay = 0.0
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
@@ -71,7 +83,7 @@ class Generate(LoopTable):
 class Bench(Section):
     """Times and errors of predictors, as Table I of [DAPF]. Batches above 1 are timed at the first dx only."""
 
-    dx: Some[Annotated[float, Field(gt=0, le=0.5)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
+    dx: Some[Annotated[float, Field(gt=0, le=0.5, strict=True)]] = [0.01, 0.005, 0.001]  #: spacings of the nodes
     calls: Count = 20_000  #: timed calls of a predictor
     seconds: Positive = 1.0  #: longest time of a predictor
     threads: Count = 1  #: threads of each library
@@ -113,7 +125,7 @@ class _Tables(Section):
     name: str = "pipeline"  #: in results
     seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: seed of all random numbers
     plant: str  #: a name, or `file.py:Class`
-    parameters: dict[str, float] = {}  #: overrides of the plant's
+    parameters: dict[str, Number] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
     kappa: Kappa | dict[str, Any] | Literal[""] = ""
     delays: list[Delay] | None = None  #: the delay of each input, if they differ; by default the plant's

@@ -19,6 +19,8 @@ Nodes = Annotated[int, Field(ge=2, le=MOST, strict=True)]
 Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Limit = Annotated[float, Field(strict=True)]  # also infinite
+Switch = Annotated[bool, Field(strict=True)]
 PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
 
@@ -39,7 +41,7 @@ def _ordered(span: tuple[float, float]) -> tuple[float, float]:
 ORDERED = AfterValidator(_ordered)
 Range = Annotated[tuple[Delay, Delay], ORDERED]
 Span = Annotated[tuple[Number, Number], ORDERED]
-Bounds = Annotated[tuple[float, float], ORDERED]  # also infinite
+Bounds = Annotated[tuple[Limit, Limit], ORDERED]
 Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 Observes = Annotated[str, AfterValidator(partial(_part, OBSERVERS, ())), OBSERVERS]

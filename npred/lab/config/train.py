@@ -20,7 +20,7 @@ class Training(Section):
     eps: Positive | None = None  #: training ends at this largest held-out error of P
     batch: Count = 1024  #: rows per step
     lr: Positive = 1e-2  #: learning rate, at its peak
-    weight_decay: Annotated[float, Field(ge=0)] = 0.0  #: decay of the weights towards 0
+    weight_decay: Annotated[float, Field(ge=0, strict=True)] = 0.0  #: decay of the weights towards 0
     optimiser: Literal["soap", "adam"] = "soap"  #: SOAP or Adam
     schedule: Literal["one-cycle", "step"] = "one-cycle"  #: the learning rate's course; step halves it every 50 epochs
     loss: Literal["raw", "standardised", "kappa"] = "kappa"  #: weights of components; kappa: by their effect on U

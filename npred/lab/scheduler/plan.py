@@ -154,8 +154,8 @@ class Resolver(ABC):
             closest = min(reversed(older), key=lambda a: distance(a.manifest.question.config, flat), default=None)
             causes = changes(closest.manifest.question.config, asked) if closest else []
             running = (source for source in sources if source.question and not source.artifact)
-            causes += [f"upstream {source.node.name} will run ({source.reason})" for source in running]
-            steps[node.name] = Step(node, None, None, f"{'stale' if older else NEVER}: {sentence(causes)}")
+            causes += [f"{source.node.name} runs first ({source.reason})" for source in running]
+            steps[node.name] = Step(node, None, None, f"stale: {sentence(causes)}" if older else NEVER)
         return list(steps.values())
 
     def step(self, node: Node, question: Question) -> Step:

@@ -8,7 +8,7 @@ from typing import Any
 from npred.base.json_files import escaped
 from npred.lab.store import Artifact, Question, short
 
-NEVER = "no artifact yet"
+NEVER = "no result yet"
 UNSET, MISSING = "unset", object()
 SHOWN = 4  # differences of a sentence
 DIGEST = re.compile(r'"([0-9a-f]{12})[0-9a-f]{52}"')

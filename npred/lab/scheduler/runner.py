@@ -10,6 +10,7 @@ import time
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -106,7 +107,12 @@ class Task:
             with room_on_disk(store.root), store.draft(node.stage, key) as folder:
                 scratch.mkdir(parents=True, exist_ok=True)
                 folders = {name: artifact.folder for name, artifact in self.inputs.items()}
-                result = planner.run(node, folder, folders, scratch, console, jobs, executor)
+                try:
+                    result = planner.run(node, folder, folders, scratch, console, jobs, executor)
+                except BaseException:
+                    with suppress(OSError):  # it stays where a checkpoint is in it
+                        scratch.rmdir()
+                    raise
                 text = json.dumps(result.json_object(), indent=1, allow_nan=False)
                 (folder / RESULT).write_text(text + "\n", encoding="utf-8")
                 artifact = store.commit(folder, self.question, planner.name, planner.device)

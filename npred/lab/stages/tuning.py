@@ -6,7 +6,7 @@ choose nothing.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -179,11 +179,17 @@ class LqrWeights:
         present = dict(zip(names, np.concatenate([np.diag(matrix) for matrix in both]).tolist(), strict=True))
         return cls(design, present, adjustable(plant, riccati(*design.linearised, *both)[1]))
 
-    def named(self, free: Sequence[str]) -> list[str]:
-        """The names, with all weights for Q and R. Only ratios count: where all weights are free, the last is held."""
-        names = [name for name in self.present if name in free or name[0] in free]
-        names = names[:-1] if len(names) == len(self.present) else names
-        return [*(name for name in free if name not in (*LETTERS, *self.present)), *names]
+    def named(self, table: Tune) -> list[str]:
+        """The names that are free, with all weights for Q and R, but the one that is held."""
+        names = [name for name in self.present if name in table.free or name[0] in table.free]
+        others = [name for name in table.free if name not in (*LETTERS, *self.present)]
+        return others + [name for name in names if name != self.held(table)]
+
+    def held(self, table: Tune) -> str:
+        """Only ratios count: where all weights are free the last is held, or the last without a range; else ""."""
+        if any(name not in table.free and name[0] not in table.free for name in self.present):
+            return ""
+        return next((name for name in reversed(self.present) if name not in table.bounds), [*self.present][-1])
 
     def table(self, numbers: Mapping[str, float]) -> dict[str, Any]:
         """The kappa of a pipeline with these weights, and the present ones for the others."""
@@ -238,12 +244,17 @@ class Ranges:
         law = adaptation(pipeline.evaluate, plant)
         chosen = [name for name in table.free if name not in LAW or law is None]
         weights = LqrWeights.of(plant)
-        chosen = weights.named(chosen) if weights else chosen
+        chosen = weights.named(table.model_copy(update={"free": chosen})) if weights else chosen
         offered = {name: plant.parameters[name] for name in gains(plant)} if plant.traced or chosen else {}
         offered |= weights.present if weights else {}
-        for name in chosen:
-            if name not in offered:
-                raise ConfigError(unlisted("free", name, offered, "gains, which kappa reads and the plant does not:"))
+        for name in [name for name in chosen if name not in offered]:
+            if name.partition(".")[0] in LETTERS and not weights:
+                cure = 'set kappa = "lqr" (--set kappa=lqr), or name a parameter that kappa reads'
+                raise ConfigError(f'free: expected kappa = "lqr" for its weight {name}, got another law; {cure}')
+            if not offered:
+                what = "expected a parameter that kappa reads and the plant does not, of which there is none"
+                raise ConfigError(f"free: {what}, got {name!r}; declare one and write p.NAME for its number in kappa")
+            raise ConfigError(unlisted("free", name, offered, "gains, which kappa reads and the plant does not:"))
         present = ({"gamma": law.gamma, "b": law.b} if law else {}) | {name: offered[name] for name in chosen}
         spans = {name: _span(name, value, table.bounds) for name, value in present.items()}
         free = {name: value for name, value in present.items() if spans[name][0] < spans[name][1]}
@@ -343,6 +354,8 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
     """
     table, console = pipeline.tune or Tune(), console or Console(quiet=True)
     ranges = Ranges.of(pipeline, plant, table)
+    if (weights := LqrWeights.of(plant)) and (held := weights.held(table)):
+        console.note(f"tune: {held} stays {weights.present[held]:.4g}: only the ratios of Q and R change the law")
     loops = Loops(pipeline, plant, table.starts, "training")
     judges = Loops(pipeline, plant, table.held_out, "held out")
     tried, interrupted = 0, False

@@ -36,7 +36,8 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
     optimiser, step, metrics = _begun(task, scratch, progress)
     done = len(metrics)
     if done:
-        progress.note(f"{title}: resuming at epoch {done + 1} of {config.epochs}")
+        at = f"resuming at epoch {done + 1} of {config.epochs}"
+        progress.note(f"{title}: {at if done < config.epochs else f'all {done} epochs were done before'}")
     with progress.bar(title, config.epochs, "epochs", done=done) as bar:
         for row in metrics:
             progress.measured(title, row)

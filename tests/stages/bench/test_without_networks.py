@@ -41,7 +41,7 @@ def test_sentence(speedups, words):
     text = without_networks.sentence(crossovers(*speedups))
     assert text.startswith(words)
     least = "at least 200 ns (for 1 % error) or 200 ns (for 1 % error); here it takes 80 ns."
-    assert f"One would pay if an evaluation of f took {least}" in text
+    assert f"A network pays where an evaluation of f takes {least}" in text
 
 
 def test_each_method_has_the_fewest_steps_that_reach_the_error(monkeypatch):

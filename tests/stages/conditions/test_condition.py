@@ -28,6 +28,16 @@ CASES = {
         {"measurement": {"noise": [0.001, 0.5], "bias": [0.0, 0.1], "resolution": 0.002}},
         {"measurement": npred.Measurement(noise=[0.001, 0.5], bias=[0.0, 0.1], resolution=0.002, seed=7)},
     ),
+    "input bounds": ({"input_bounds": [[0.0, 0.0102]]}, {"input_bounds": [(0.0, 0.0102)]}),
+    "input before": ({"u0": [0.02]}, {"u0": [0.02]}),
+    "clock": (
+        {"timing": {"jitter": 0.2, "lost": 0.05}, "actuator": "history"},
+        {"timing": npred.Timing(jitter=0.2, lost=0.05, seed=7), "actuator": "history"},
+    ),
+    "observer": (
+        {"observer": {"kind": "ekf"}, "actuator": "history"},
+        {"observer": npred.observers.EKF(PLANT), "actuator": "history"},
+    ),
     "truth": ({"truth": {"Ka": 0.042}}, {"truth": OTHER}),
     "disturbance": (
         {"disturbance": {"amplitude": 0.01, "omega": 0.7}}, {"disturbance": lambda t: 0.01 * math.sin(0.7 * t)},

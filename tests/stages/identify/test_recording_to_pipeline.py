@@ -188,7 +188,7 @@ def test_a_file_of_somebody_else_is_left_alone(folder: Path):
         (("log.csv",), "--plant: expected the plant of log.csv, got none"),
         ((), "expected a recording, got none"),
         (("log.csv", "log.toml", *FLAGS), "expected recordings, or one pipeline, got log.csv, log.toml"),
-        (("log.csv", *FLAGS, "--hold", "cubic"), "identify.hold: Input should be 'zero' or 'linear', got 'cubic'"),
+        (("log.csv", *FLAGS, "--hold", "cubic"), "identify.hold: expected 'zero' or 'linear', got 'cubic'"),
         (("log.csv", *FLAGS, "--period", "0"), "identify.period"),
         (("other.csv", *FLAGS), "expected a file at other.csv"),
         (("log.csv", "--plant", "my_plant.py:Tank", "--input", "q=Q2", "--state", "h=level"), "got 'Q2'"),

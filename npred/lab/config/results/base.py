@@ -16,6 +16,7 @@ from npred.base import json_files, notebook
 from npred.base.defaults import RESULT
 from npred.base.errors import StoreError
 from npred.base.registry import NETWORKS
+from npred.lab.config import words
 
 T = TypeVar("T")
 
@@ -70,8 +71,10 @@ class Result(BaseModel):
         except ValidationError as error:
             first = error.errors()[0]
             key = json_files.escaped(".".join(str(part) for part in first["loc"]))
+            came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
             raise StoreError(
-                f"{source}: expected a result as this npred writes it, got at {key}: {first['msg']}; make it anew with "
+                f"{source}: expected a result as this npred writes it, at {key} {words.expected(first)[0]}, "
+                f"got {came}; make it anew with "
                 "npred run, or show it with the npred that wrote it"
             ) from None
 

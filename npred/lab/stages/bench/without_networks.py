@@ -74,7 +74,9 @@ def sentence(crossovers: list[Crossover]) -> str:
     )
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
     least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {100 * c.eps_relative:.2g} % error)" for c in crossovers)
-    pays = f"One would pay if an evaluation of f took at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
+    pays = (
+        f"A network pays where an evaluation of f takes at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
+    )
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
     which = ""

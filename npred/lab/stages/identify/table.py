@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from npred.lab.config.section import Positive, Section, Span
+from npred.lab.config.section import Number, Positive, Section, Span, Switch
 
 
 class Identify(Section):
@@ -17,13 +17,13 @@ class Identify(Section):
     period: Positive | None = None  #: time from row to row of a recording without times, in the plant's unit
     hold: Literal["zero", "linear"] | None = None  #: the input between two commands: the last one, or a line
     columns: dict[str, str] = {}  #: column of each input and output, if its name differs
-    scale: dict[str, float] = {}  #: factor of a column, to the plant's unit
-    shift: dict[str, float] = {}  #: then added to the column
+    scale: dict[str, Number] = {}  #: factor of a column, to the plant's unit
+    shift: dict[str, Number] = {}  #: then added to the column
     free: list[str] = []  #: parameters to estimate
     bounds: dict[str, Span] = {}  #: ranges of these parameters
     longest: Positive | None = None  #: longest delay to try; by default a fifth of the recording
-    offset: bool = False  #: estimate a constant offset of each input
-    time_varying: bool = False  #: also estimate delays over windows of time
+    offset: Switch = False  #: estimate a constant offset of each input
+    time_varying: Switch = False  #: also estimate delays over windows of time
     #: relative error of the other parameters; it widens the intervals
     model_error: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.05
 
