@@ -174,7 +174,10 @@ def _settings(
         lines += [f"static const int the_places[{len(free)}] = {{{places}}};"]
     if free and controller.plant.declares_setpoint:
         limits = setpoint.bounds(controller.plant, settings.input_bounds, ON_BOUND[real])
-        lines += [constant("the_units", controller.plant.scales, real), constant("the_rest_bounds", limits.ravel(), real)]
+        lines += [
+            constant("the_units", controller.plant.scales, real),
+            constant("the_rest_bounds", limits.ravel(), real),
+        ]
         lines += [f"#define the_settle {controller.plant.settle.name}"]
     pointers = {name: kernel.name for name, kernel in kernels.items()}
     for kind, members in (("Settings", values), ("Parts", pointers)):

@@ -1,7 +1,7 @@
 """Newton's method for points of rest, measured by its corrections in sizes of the states and inputs.
 
-So neither the unit of time nor those of the states matter [Deuflhard, Newton Methods for Nonlinear Problems, 2011, 2.1];
-npred/kernels/c/rest.h is the same for set-points while a loop runs.
+So neither the unit of time nor those of the states matter [Deuflhard, Newton Methods for Nonlinear Problems, 2011,
+2.1]; npred/kernels/c/rest.h is the same for set-points while a loop runs.
 """
 
 from collections.abc import Callable
@@ -49,8 +49,8 @@ def search(
     """z (k,) with F(z) = 0, followed along F(z) = (1 - s) F(z at the start), s from 0 to 1, and whether s came to 1.
 
     F gives its value (r,) and its Jacobian (r, k), NaN where it has none. A correction is the shortest one in `units`
-    (k,), of which 0 holds its component. A step of s is halved where corrections do not halve, unless they are small, as
-    next to a kink of F, and doubled where they do.
+    (k,), of which 0 holds its component. A step of s is halved where corrections do not halve, unless they are small,
+    as next to a kink of F, and doubled where they do.
     """
     start, s, share, left = F(z)[0], 0.0, 1.0, CORRECTIONS
     while s < 1 and share > SHORTEST and left > 0:

@@ -91,8 +91,6 @@ def bounds(plant: Any, of_inputs: np.ndarray, rounding: float = ROUNDING) -> np.
     return np.array(ranges) + rounding * np.outer(plant.scales, [-1.0, 1.0])
 
 
-
-
 def beyond(plant: Any, z: np.ndarray, limits: np.ndarray) -> str:
     """Those of X* and U* that are outside the limits (n + m, 2) of `bounds`, as text: q = 12; "" for none."""
     outside = (z < limits[:, 0]) | (z > limits[:, 1])

@@ -12,6 +12,7 @@
 #define TRIES 50        /* for one s */
 #define SHORTEST 1e-6   /* step of s */
 #define SMALL 0.01      /* correction, in units */
+#define ASIDE 1e-3      /* units */
 #define ARRIVED (sizeof(double) > 4 ? 1e-8 : 1e-3) /* a correction after which the next one is rounding */
 #define SINGULAR (sizeof(double) > 4 ? 1e-11 : 1e-5) /* share of a row and a column */
 
@@ -121,24 +122,34 @@ static inline int PART(_corrected)(const double *p, const double *start, double 
 static inline void KERNEL(Shape d, const double *q, const double *p, const double *units, double *z, double *arrived,
                           double *kept, double *work)
 {
-    double start[SIZE], none[SIZE] = {0.0}, next[SIZE], between[PARAMETERS], s = 0.0, share = 1.0;
+    double origin[SIZE], start[SIZE], none[SIZE] = {0.0}, next[SIZE], between[PARAMETERS], s = 0.0;
     int spent = 0;
     (void)d, (void)work;
-    SLOPE(z, none, q, start, next);
-    while (s < 1.0 && share > SHORTEST && spent < CORRECTIONS) {
-        const double there = smaller(s + share, 1.0);
-        for (int k = 0; k < PARAMETERS; k++) {
-            between[k] = there < 1.0 ? q[k] + there * (p[k] - q[k]) : p[k];
-        }
+    for (int i = 0; i < SIZE; i++) {
+        origin[i] = z[i];
+    }
+    for (int turn = 0; turn < 2 && s < 1.0; turn++) { /* once more from aside: F may have no slope where it rests */
+        double share = 1.0;
         for (int i = 0; i < SIZE; i++) {
-            next[i] = z[i];
+            z[i] = origin[i] + turn * ASIDE * units[i];
         }
-        const int moved = PART(_corrected)(between, start, 1.0 - there, units, next, &spent);
-        for (int i = 0; i < SIZE && moved; i++) {
-            z[i] = next[i];
+        SLOPE(z, none, q, start, next);
+        s = 0.0;
+        while (s < 1.0 && share > SHORTEST && spent < CORRECTIONS) {
+            const double there = smaller(s + share, 1.0);
+            for (int k = 0; k < PARAMETERS; k++) {
+                between[k] = there < 1.0 ? q[k] + there * (p[k] - q[k]) : p[k];
+            }
+            for (int i = 0; i < SIZE; i++) {
+                next[i] = z[i];
+            }
+            const int moved = PART(_corrected)(between, start, 1.0 - there, units, next, &spent);
+            for (int i = 0; i < SIZE && moved; i++) {
+                z[i] = next[i];
+            }
+            s = moved ? there : s;
+            share *= moved ? 2.0 : 0.5;
         }
-        s = moved ? there : s;
-        share *= moved ? 2.0 : 0.5;
     }
     *arrived = s < 1.0 ? 0.0 : 1.0;
     *kept = INFINITY;
@@ -155,5 +166,6 @@ static inline void KERNEL(Shape d, const double *q, const double *p, const doubl
 #undef TRIES
 #undef SHORTEST
 #undef SMALL
+#undef ASIDE
 #undef ARRIVED
 #undef SINGULAR
