@@ -161,7 +161,7 @@ MODELS = {
         "strict_feedforward2", "z1 z2", {"u": (-1.0, 1.0)}, {"z1": (-3.0, 3.0)}, walls={"z1": (-2.0, 2.0)}
     ),
     "transport tank": shipped(
-        "transport_tank", "h T", {"u": (-20.0, 20.0)}, {"T": (-60.0, 60.0)}, guess=(2.0, 20.0), second=60.0
+        "transport_tank", "h T", {"u": (-20.0, 20.0)}, {"T": (1.0, 60.0)}, guess=(2.0, 20.0), second=60.0
     ),
     "reactor": Model(
         _reactor, {"c": (0.4, 0.6), "T": (345.0, 355.0)}, {"Tc": (280.0, 320.0)}, {"T": (300.0, 420.0)},
@@ -284,7 +284,7 @@ MODELS = {
     ),
     "car": Model(
         lambda x, u, M: [(u.F - 0.4 * x.v * M.abs(x.v) - 150.0) / 1200], {"v": (5.0, 40.0)}, {"F": (0.0, 2000.0)},
-        {"v": (-20.0, 100.0)}, second=20.0,
+        {"v": (0.1, 100.0)}, second=20.0,
     ),
     "propofol": Model(
         lambda x, u, M: [

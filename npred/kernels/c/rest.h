@@ -131,7 +131,7 @@ static inline void KERNEL(Shape d, const double *q, const double *p, const doubl
     for (int turn = 0; turn < 2 && s < 1.0; turn++) { /* once more from aside: F may have no slope where it rests */
         double share = 1.0;
         for (int i = 0; i < SIZE; i++) {
-            z[i] = origin[i] + turn * ASIDE * units[i];
+            z[i] = origin[i] + (turn > 0 ? ASIDE : 0.0) * units[i];
         }
         SLOPE(z, none, q, start, next);
         s = 0.0;
