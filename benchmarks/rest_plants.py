@@ -25,7 +25,7 @@ class Model(NamedTuple):
     rates: tuple[str, ...] = ()
     walls: Mapping[str, Pair] = {}
     read: Mapping[str, Callable[..., Any]] = {}
-    second: float = 1.0  # its own time, in seconds
+    second: float = 1.0  # how many of them are its own time
 
 
 def shipped(name: str, states: str, inputs: dict[str, Pair], aims: dict[str, Pair], **more: Any) -> Model:
@@ -161,11 +161,11 @@ MODELS = {
         "strict_feedforward2", "z1 z2", {"u": (-1.0, 1.0)}, {"z1": (-3.0, 3.0)}, walls={"z1": (-2.0, 2.0)}
     ),
     "transport tank": shipped(
-        "transport_tank", "h T", {"u": (-20.0, 20.0)}, {"T": (1.0, 60.0)}, guess=(2.0, 20.0), second=60.0
+        "transport_tank", "h T", {"u": (-20.0, 20.0)}, {"T": (1.0, 60.0)}, guess=(2.0, 20.0), second=1.0
     ),
     "reactor": Model(
         _reactor, {"c": (0.4, 0.6), "T": (345.0, 355.0)}, {"Tc": (280.0, 320.0)}, {"T": (300.0, 420.0)},
-        guess=(0.5, 350.0), second=60.0,
+        guess=(0.5, 350.0), second=0.2,
     ),
     "ball and beam": Model(
         lambda x, u, M: [x.v, 5 / 7 * 9.81 * M.sin(u.angle)], {"r": (-0.2, 0.2), "v": (-0.1, 0.1)},
@@ -177,7 +177,7 @@ MODELS = {
     "glucose": Model(
         lambda x, u, M: [2.0 - (0.01 + x.X) * x.G, 1.3e-5 * (x.I - 7.0) - 0.025 * x.X, u.insulin / 12.0 - 0.09 * x.I],
         {"G": (80.0, 180.0), "X": (0.0, 0.02), "I": (5.0, 40.0)}, {"insulin": (0.0, 200.0)}, {"G": (5.0, 450.0)},
-        guess=(100.0, 0.01, 20.0), second=600.0,
+        guess=(100.0, 0.01, 20.0), second=10.0,
     ),
     "Furuta": Model(
         _furuta, {"arm": (-0.5, 0.5), "pole": (-0.1, 0.1), "arm_rate": (-0.5, 0.5), "pole_rate": (-0.5, 0.5)},
@@ -187,7 +187,7 @@ MODELS = {
     "servo": Model(
         lambda x, u, M: [x.speed, 8.0 * u.voltage - 5.0 * x.speed - 6.0 * M.tanh(x.speed / 0.05)],
         {"angle": (-1.0, 1.0), "speed": (-2.0, 2.0)}, {"voltage": (-12.0, 12.0)}, {"angle": (-5.0, 5.0)},
-        walls={"angle": (-3.0, 3.0)},
+        walls={"angle": (-3.0, 3.0)}, second=0.02,
     ),
     "pendulum": Model(
         _pendulum, {"angle": (-1.5, 1.5), "rate": (-3.0, 3.0)}, {"torque": (-9.0, 9.0)}, {"angle": (-1.55, 1.55)},
@@ -219,7 +219,7 @@ MODELS = {
     ),
     "van de Vusse": Model(
         lambda x, u, M: [-50 * x.a - 10 * x.a**2 + (10 - x.a) * u.q, 50 * x.a - 100 * x.b - x.b * u.q],
-        {"a": (0.5, 5.0), "b": (0.5, 1.3)}, {"q": (3.0, 60.0)}, {"b": (0.05, 1.6)}, guess=(3.0, 1.11), second=60.0,
+        {"a": (0.5, 5.0), "b": (0.5, 1.3)}, {"q": (3.0, 60.0)}, {"b": (0.05, 1.6)}, guess=(3.0, 1.11), second=0.02,
     ),
     "boiler": Model(
         _boiler, {"p": (90.0, 125.0), "P": (40.0, 90.0), "rho": (380.0, 480.0)},
@@ -239,11 +239,11 @@ MODELS = {
     ),
     "heat exchanger": Model(
         _exchanger, dict.fromkeys(("a1", "a2", "a3", "b1", "b2", "b3"), (20.0, 80.0)), {"flow": (0.05, 3.0)},
-        {"b3": (10.0, 80.0)}, second=10.0,
+        {"b3": (10.0, 80.0)}, second=0.5,
     ),
     "reactor with two inputs": Model(
         _two_inputs, {"c": (0.4, 0.6), "T": (345.0, 355.0)}, {"q": (0.3, 3.0), "Tc": (270.0, 330.0)},
-        {"c": (0.02, 0.98), "T": (310.0, 400.0)}, guess=(0.5, 350.0), second=60.0,
+        {"c": (0.02, 0.98), "T": (310.0, 400.0)}, guess=(0.5, 350.0), second=0.2,
     ),
     "magnet": Model(
         lambda x, u, M: [x.v, 9.81 - 2e-3 * (u.i / x.gap) ** 2], {"gap": (5e-3, 2e-2), "v": (-0.2, 0.2)},
@@ -259,7 +259,7 @@ MODELS = {
     ),
     "room": Model(
         lambda x, u, M: [(u.heat - 0.2 * (x.air - x.wall)) / 0.5, (0.2 * (x.air - x.wall) - 0.1 * (x.wall - 5)) / 20],
-        {"air": (15.0, 25.0), "wall": (10.0, 22.0)}, {"heat": (0.0, 3.0)}, {"air": (-10.0, 70.0)}, second=3600.0,
+        {"air": (15.0, 25.0), "wall": (10.0, 22.0)}, {"heat": (0.0, 3.0)}, {"air": (-10.0, 70.0)}, second=1.0,
     ),
     "three tanks": Model(
         _three_tanks, {"h1": (0.5, 3.0), "h2": (0.2, 2.0), "h3": (0.3, 2.5)}, {"q1": (0.0, 1.2), "q2": (0.0, 1.2)},
@@ -291,7 +291,7 @@ MODELS = {
             u.dose - 0.5 * x.c1 + 0.055 * x.c2 + 0.0033 * x.c3, 0.11 * x.c1 - 0.055 * x.c2, 0.042 * x.c1 - 0.0033 * x.c3
         ],
         {"c1": (0.0, 6.0), "c2": (0.0, 12.0), "c3": (0.0, 70.0)}, {"dose": (0.0, 3.0)}, {"c1": (-2.0, 14.0)},
-        second=300.0,
+        second=2.0,
     ),
     "flexible joint": Model(
         _flexible, {"link": (-1.0, 1.0), "motor": (-1.3, 1.3), "link_rate": (-1.0, 1.0), "motor_rate": (-1.0, 1.0)},

@@ -126,9 +126,16 @@ class Design:
         return z
 
     def _onto(self, z: np.ndarray) -> tuple[np.ndarray, bool]:
-        """A point of rest near z: by u alone where that leads to one, else by X and u."""
-        z, arrived = self._search(z, by_input=True)
-        return (z, arrived) if arrived else self._search(z)
+        """A point of rest near z: by u alone where that leads to one, else by X and u, from the u with the least f."""
+        moved, arrived = self._search(z, by_input=True)
+        if arrived:
+            return moved, arrived
+        X, u = np.split(z, [self.plant.n])
+        sizes = self.plant.scales[: self.plant.n]
+        f, f_U = self.plant.f(X, u) / sizes, self.plant.jacobians(X, u)[1] / sizes[:, None]
+        if np.isfinite(f).all() and np.isfinite(f_U).all():
+            u = u - np.linalg.lstsq(f_U, f, rcond=None)[0]
+        return self._search(np.append(X, u))
 
     def _search(self, z: np.ndarray, by_input: bool = False) -> tuple[np.ndarray, bool]:
         """A point of rest from z on by X and u in one vector, or by u alone, by the shortest steps in their sizes."""

@@ -74,12 +74,18 @@ def settled(plant: Any, q: np.ndarray, p: np.ndarray, z: np.ndarray) -> Rest | N
 
 def searched(plant: Any, p: np.ndarray) -> Iterator[Rest]:
     """Rests of the parameters p, as they are found from `guess` and from random states of the box."""
-    draws, scales = randomness.generator(0, "rest"), plant.scales[: plant.n]
-    around = zip(plant.states, plant.guess, scales, strict=True)
-    low, high = np.array([plant.box.get(name, (x - scale, x + scale)) for name, x, scale in around]).T
+    draws, around = randomness.generator(0, "rest"), np.append(plant.guess, np.zeros(plant.m))
+    ends = np.stack([around - plant.scales, around + plant.scales], axis=1)
+    declared = [*(plant.box.get(name) for name in plant.states), *(plant.input_bounds or [None] * plant.m)]
+    for k, pair in enumerate(declared):
+        ends[k] = ends[k] if pair is None or not np.isfinite(pair).all() else pair
+    low, high = ends.T
     for k in range(STARTS + 1):
-        X = draws.uniform(low, high) if k else plant.guess
-        rest = settled(plant, p, p, np.append(X, _nearly_held(plant, p, X)))
+        z = draws.uniform(low, high)
+        z[: plant.n] = z[: plant.n] if k else plant.guess
+        if k % 2 == 0:  # else any input: f need not have a slope at 0 or where that slope leads
+            z[plant.n :] = _nearly_held(plant, p, z[: plant.n])
+        rest = settled(plant, p, p, z)
         if rest is not None:
             yield rest
 
@@ -122,14 +128,15 @@ def first(plant: Any, p: np.ndarray) -> np.ndarray:
 
 
 def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """The input (m,) with which f is least at X, by one Gauss-Newton step from 0; zeros where f is not defined."""
-    u, p = np.zeros(plant.m), p.tolist()
+    """The input (m,) with which f is least at X, in sizes of the states, by one Gauss-Newton step from 0; else zeros."""
+    u, p, sizes = np.zeros(plant.m), p.tolist(), plant.scales[: plant.n]
     with np.errstate(all="ignore"):
         try:
             f = np.array(plant.call("f", X.tolist(), u.tolist(), 0.0, p, array_math.NUMPY), dtype=float)
             f_U = np.array(plant.derivatives["f_u"](*X, *u, 0.0, *p), dtype=float).reshape(plant.m, plant.n).T
         except (ArithmeticError, ValueError):
             return u
+    f, f_U = f / sizes, f_U / sizes[:, None]
     return -np.linalg.lstsq(f_U, f, rcond=None)[0] if np.isfinite(f).all() and np.isfinite(f_U).all() else u
 
 
