@@ -128,7 +128,7 @@ def first(plant: Any, p: np.ndarray) -> np.ndarray:
 
 
 def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """The input (m,) with which f is least at X, in sizes of the states, by one Gauss-Newton step from 0; else zeros."""
+    """The input (m,) with the least f at X, in sizes of the states, by one Gauss-Newton step from 0; else zeros."""
     u, p, sizes = np.zeros(plant.m), p.tolist(), plant.scales[: plant.n]
     with np.errstate(all="ignore"):
         try:
