@@ -16,7 +16,7 @@ from npred.formulas.tape import names
 from npred.formulas.trace import Trace, python
 from npred.laws.law import error
 from npred.laws.regulator import lyapunov
-from npred.plants import inputs, speed
+from npred.plants import inputs, setpoint, speed
 from npred.plants.base import Plant
 from npred.prediction.methods import RK4
 
@@ -29,13 +29,22 @@ SAME = 1e-3  # share of its largest value: this close to x'Sx a V is taken for i
 
 
 def equilibrium(case: Case) -> Verdict:
-    """Whether f(X*, kappa(X*)) = 0 has a solution near `guess`, with an input that the plant accepts."""
+    """Whether f(X*, kappa(X*)) = 0 has a solution near `guess`, with an input that the plant accepts, within its
+    `state_bounds`, and where its limits `safe` are kept."""
     plant = case.plant
     X, u = plant.equilibrium, plant.u_equilibrium
     values = source_lines.values(plant.inputs, u)
     if (u < case.limits[:, 0]).any() or (u > case.limits[:, 1]).any():
         outside = f"outside input_bounds {case.limits.tolist()}"
         return "no", f"plant {plant.name}: rests with {values}, {outside}; move the set point"
+    if outside := setpoint.beyond(plant, np.append(X, u), setpoint.bounds(plant, case.limits)):
+        return "no", f"plant {plant.name}: rests at {outside}, outside state_bounds; move the set point, or the bounds"
+    limits = plant.safe(X) if plant.declares_safe else np.zeros(0)
+    if (limits < 0).any():
+        broken = source_lines.values(
+            [f"limit {k + 1} of {len(limits)}" for k in np.flatnonzero(limits < 0)], limits[limits < 0]
+        )
+        return "warn", f"{case.state(X)}, with {values}: outside safe, {broken}; move the set point, or the limits"
     ranges = [(name, x, *case.box[name]) for name, x in zip(plant.states, X, strict=True) if name in case.box]
     beyond = [f"{name} in [{a:g}, {b:g}]" for name, x, a, b in ranges if not a <= x <= b]
     if beyond:

@@ -17,11 +17,13 @@ from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
 from npred.loop.controller import SNAP, Controller
 from npred.networks.fused import Fused
+from npred.plants import setpoint
 from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
 COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
+ON_BOUND = {"float": 1e-5, "double": setpoint.ROUNDING}  # of a state's or an input's size, for the rest of a set-point
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 TAKEN = ("state", "D_hat", "time", "parameters", "one", "u0")  # what other functions of the header are called by
@@ -176,7 +178,13 @@ def _settings(
     if free := settable(controller):
         places = ", ".join(str(controller.plant.p_names.index(name)) for name in free)
         lines += [f"static const int the_places[{len(free)}] = {{{places}}};"]
-        lines += [f"#define the_settle {controller.plant.settle.name}"] if controller.plant.declares_setpoint else []
+    if free and controller.plant.declares_setpoint:
+        limits = setpoint.bounds(controller.plant, settings.input_bounds, ON_BOUND[real])
+        lines += [
+            constant("the_units", controller.plant.scales, real),
+            constant("the_rest_bounds", limits.ravel(), real),
+        ]
+        lines += [f"#define the_settle {controller.plant.settle.name}"]
     pointers = {name: kernel.name for name, kernel in kernels.items()}
     for kind, members in (("Settings", values), ("Parts", pointers)):
         entries = (f"    .{name} = {text}," for name, text in members.items())

@@ -10,12 +10,12 @@ from npred.base.errors import ConfigError
 from npred.formulas import Value, programs
 from npred.formulas.tape import M, Symbol, Vector, names
 from npred.formulas.trace import Trace, python
-from npred.plants import inputs
-from npred.plants.base import REST, Plant, require
+from npred.plants import inputs, newton
+from npred.plants.base import Plant, require
 
 SAMPLES = 256  # states of the box
 SPAN, MOMENTS = 100.0, 64  # times the box over the speed of a reference without a period, and times in that
-STEPS, SHORTEST = 100, 1e-6  # steps of the search for a point of rest; the shortest share of one
+STEPS = 100  # of the way to the nearest point of rest
 STARTS, ROUGH, NEAR, DECIMALS = 16, 1e-3, 1e-7, 6  # for the search of the nearest, in half widths of the box
 MATCHED = 1e-6  # share of the largest rate that may be out of reach of the inputs
 ZERO = 1e-9  # share of a derivative's size over the box: below it an input does not act
@@ -126,31 +126,26 @@ class Design:
         return z
 
     def _onto(self, z: np.ndarray) -> tuple[np.ndarray, bool]:
-        """A point of rest near z: by u alone where that leads to one, else by X and u."""
-        z, arrived = self._search(z, by_input=True)
-        return (z, arrived) if arrived else self._search(z)
+        """A point of rest near z: by u alone where that leads to one, else by X and u, from the u with the least f."""
+        moved, arrived = self._search(z, by_input=True)
+        if arrived:
+            return moved, arrived
+        X, u = np.split(z, [self.plant.n])
+        sizes = self.plant.scales[: self.plant.n]
+        f, f_U = self.plant.f(X, u) / sizes, self.plant.jacobians(X, u)[1] / sizes[:, None]
+        if np.isfinite(f).all() and np.isfinite(f_U).all():
+            u = u - np.linalg.lstsq(f_U, f, rcond=None)[0]
+        return self._search(np.append(X, u))
 
     def _search(self, z: np.ndarray, by_input: bool = False) -> tuple[np.ndarray, bool]:
-        """Gauss and Newton's method for f = 0 by X and u in one vector, or by u alone, by the shortest steps in half
-        widths of the box and units of u.
-        """
-        n, f = self.plant.n, self.plant.f
-        scale = np.concatenate([np.zeros(n) if by_input else self.widths, np.ones(self.plant.m)])
-        for _ in range(STEPS):
-            value = f(z[:n], z[n:])
-            jacobian = np.hstack(self.plant.jacobians(z[:n], z[n:])) * scale
-            if not np.isfinite(value).all() or not np.isfinite(jacobian).all():
-                break
-            step, share, size = scale * np.linalg.lstsq(jacobian, value, rcond=None)[0], 1.0, np.linalg.norm(value)
-            moved = z - step
-            while not np.array_equal(moved, z) and not np.linalg.norm(f(moved[:n], moved[n:])) < size:
-                share /= 2
-                moved = z - share * step if share > SHORTEST else z
-            if np.array_equal(moved, z):
-                break
-            z = moved
-        size = max(1.0, float(np.linalg.norm(z[:n]))) * max(map(np.linalg.norm, self.plant.jacobians(z[:n], z[n:])))
-        return z, bool(np.linalg.norm(f(z[:n], z[n:])) <= REST * size)
+        """A point of rest from z on by X and u in one vector, or by u alone, by the shortest steps in their sizes."""
+        n, plant = self.plant.n, self.plant
+
+        def F(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            return plant.f(z[:n], z[n:]), np.hstack(plant.jacobians(z[:n], z[n:]))
+
+        units = plant.scales * np.append(np.full(n, not by_input), np.ones(plant.m))
+        return newton.search(F, z, units)
 
     @cached_property
     def target(self) -> tuple[Sequence[Value], Sequence[Value]]:

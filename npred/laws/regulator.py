@@ -121,8 +121,24 @@ def riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple
     """S of A'S + SA - S B inv(R) B' S + Q = 0 that stabilises, and K = inv(R) B' S: (n, n) and (m, n).
 
     By the sign of the Hamiltonian matrix (Roberts 1971), with one step of Kleinman's iteration to clear its rounding.
+    It is solved in states and inputs of the sizes that the weights give them, and with Q as large as the quadratic
+    term, so that rounding is the same in every unit; these sizes are powers of two, so that they round nothing.
     Raises ConfigError where an unstable rate is not moved by the inputs, or one on the axis has no weight in Q.
     """
+    x, u = (_power(np.where(np.diag(W) > 0, np.diag(W), 1.0) ** -0.5) for W in (Q, R))
+    A, B, Q, R = A * x / x[:, None], B * u / x[:, None], Q * np.outer(x, x), R * np.outer(u, u)
+    pull, weight = np.linalg.norm(B @ np.linalg.solve(R, B.T)), np.linalg.norm(Q)
+    ratio = _power(np.sqrt(weight / pull)) if weight > 0 and pull > 0 else 1.0
+    S, K = _riccati(A, B, Q / ratio, R / ratio)
+    return ratio * S / np.outer(x, x), u[:, None] * K / x
+
+
+def _power(sizes: ArrayLike) -> np.ndarray:
+    """The nearest powers of two."""
+    return np.exp2(np.round(np.log2(sizes)))
+
+
+def _riccati(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     scale = max(float(np.linalg.norm(A, 2)), np.finfo(float).tiny)
     direction = B / max(float(np.linalg.norm(B, 2)), np.finfo(float).tiny)
     for rate in np.linalg.eigvals(A):  # do the inputs move those whose real part is not negative (Hautus)?

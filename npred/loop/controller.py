@@ -247,13 +247,18 @@ class Controller(InNotebook):
         """Why a parameter cannot be set, by its name."""
         return settable.fixed(self.plant, self.predictor)
 
+    @cached_property
+    def _rest_bounds(self) -> np.ndarray:
+        return setpoint.bounds(self.plant, self.settings.input_bounds)
+
     def set(self, **parameters: float) -> None:
         """Set parameters of the plant, a set-point say, that the controller reads from the next step on.
 
-        Where the plant declares `setpoint`, its rest X*, U* follows by Newton's steps from the last one, to which a law
-        of npred.laws then leads; its gains stay those of the set-point that was declared. In that step U moves as in
-        any other, and by the difference that the new set-point makes to kappa(P). `controller.plant` stays as it was
-        declared; `state()` has what was set, and an export begins with it.
+        Where the plant declares `setpoint`, its rest X*, U* is followed from the last one, by at most 500 of Newton's
+        corrections; a law of npred.laws then leads to it, with the gains of the set-point that was declared. In that
+        step U moves as in any other, and by the difference that the new set-point makes to kappa(P). One line says
+        where the rest breaks a limit of the plant's `safe`. `controller.plant` stays as it was declared; `state()` has
+        what was set, and an export begins with it.
 
         Parameters
         ----------
@@ -264,15 +269,15 @@ class Controller(InNotebook):
         ------
         ConfigError
             For an unknown name, a value that is not finite, a parameter that a network was trained with, or a law
-            designed, and a set-point without a rest within the input bounds. Then all stays as it was.
+            designed, and a set-point to which no rest follows within the input bounds and `state_bounds`. Then all
+            stays as it was.
         """
         free = [name for name in self.plant.parameters if name not in self.fixed]
         for name, value in parameters.items():
             if name not in self.plant.parameters:
                 raise ConfigError(unlisted("set", name, free, "a parameter,"))
             array_checks.finite(f"set: {name}", np.array(array_checks.number(f"set: {name}", value)))
-        bounds = self.settings.input_bounds
-        self.settings.p[:] = setpoint.changed(self.plant, self.settings.p, parameters, self.fixed, bounds)
+        self.settings.p[:] = setpoint.changed(self.plant, self.settings.p, parameters, self.fixed, self._rest_bounds)
 
     @property
     def u0(self) -> np.ndarray:

@@ -61,7 +61,8 @@ def course(
             raise ConfigError(f"setpoints: {name}: {what}, got {pair!r}; write ([0.0, 5.0], [1.0, 2.0]), say")
         for time, value in zip(times.tolist(), values.tolist(), strict=True):
             changes.setdefault(time, {})[name] = value
-    limits = np.tile([-np.inf, np.inf], (plant.m, 1)) if bounds is None else bounds
+    free = np.tile([-np.inf, np.inf], (plant.m, 1))
+    limits = setpoint.bounds(plant, free if bounds is None else bounds) if plant.declares_setpoint else free
     pieces = [Piece(-math.inf, plant.p, {})]
     for time, values in sorted(changes.items()):
         p = setpoint.changed(plant, pieces[-1].p, values, cannot, limits)

@@ -17,9 +17,7 @@ from npred.formulas.tape import Functions, names
 from npred.formulas.trace import Trace, python
 from npred.kernels.kernel import Kernel
 from npred.plants import declaration as declared
-from npred.plants import setpoint
-
-REST = 1e-9  # residual relative to the derivative of f times max(1, |X|), below which X rests
+from npred.plants import newton, setpoint
 
 
 class Plant(InNotebook):
@@ -115,8 +113,21 @@ class Plant(InNotebook):
     @cached_property
     def p(self) -> np.ndarray:
         """The parameters' values in the order of their declaration, then the rest of a declared set-point."""
-        p = np.array(list(self.parameters.values()), dtype=float)
-        return np.append(p, setpoint.first(self, p)) if self.declares_setpoint else p
+        p = self.p_declared.copy()
+        if self.declares_setpoint:
+            p[len(self.parameters) :] = setpoint.first(self, p)
+        return p
+
+    @cached_property
+    def p_declared(self) -> np.ndarray:
+        """The same without a search for that rest: 0 in its place."""
+        values = [*self.parameters.values()]
+        return np.array(values + [0.0] * (len(self.p_names) - len(values)), dtype=float)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """How large a change of each state and input counts as one, (n + m,): half its range, where it has one."""
+        return newton.scales(self)
 
     @cached_property
     def settle(self) -> Kernel:
@@ -166,7 +177,9 @@ class Plant(InNotebook):
     @cached_property
     def limits(self) -> int:
         """How many numbers safe(x, t, p, M) gives; 0 where it is not declared."""
-        return len(self._on("safe", self.guess, None, 0.0)) if self.declares_safe else 0
+        if not self.declares_safe:
+            return 0
+        return len(self.call("safe", [*self.guess], None, 0.0, self.p_declared.tolist(), array_math.of(self.guess)))
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
@@ -217,18 +230,9 @@ class Plant(InNotebook):
             got = "f or kappa depends on time; it only tracks"
             raise ConfigError(f"plant {self.name}: expected an equilibrium, but {got}")
         X = self.p[-self.n - self.m : -self.m].copy() if self.declares_setpoint else self.guess.copy()
-        g, J = self._at_rest(X)
-        for _ in range(100):
-            if not np.isfinite(g).all() or not np.isfinite(J).all() or np.linalg.matrix_rank(J) < len(X):
-                break
-            step, scale = np.linalg.solve(J, g), 1.0  # the step is halved while the residual grows
-            while scale > 1e-8 and not np.linalg.norm(self._at_rest(X - scale * step)[0]) <= np.linalg.norm(g):
-                scale /= 2
-            if scale <= 1e-8 or np.array_equal(X - scale * step, X):
-                break
-            X = X - scale * step
-            g, J = self._at_rest(X)
-        if not np.linalg.norm(g) <= REST * np.linalg.norm(J[np.isfinite(J)]) * max(1.0, float(np.linalg.norm(X))):
+        X, arrived = newton.search(self._at_rest, X, self.scales[: self.n])
+        if not arrived:
+            g, _ = self._at_rest(X)
             left = source_lines.values([f"{name}'" for name in self.states], g)
             near = f"no equilibrium near guess = {self.guess.tolist()}: {left} is left"
             cure = "let kappa hold a point where f vanishes, or give a `guess` closer to one"

@@ -1,19 +1,21 @@
 """The rest of a set-point, X* and U* with f(X*, U*) = 0 and setpoint(X*) = 0, which a law reads as parameters."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from npred.base import randomness, source_lines
 from npred.base.errors import ConfigError
+from npred.base.progress import say
 from npred.formulas import array_math, programs
 from npred.formulas.declared import Declared
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 
-SETTLE = "p, &z, &arrived"  # the arguments of the kernel, as npred/kernels/c/rest.h has them
+SETTLE = "q, p, units, &z, &arrived, &kept"  # the arguments of the kernel, as npred/kernels/c/rest.h has them
 STARTS = 16  # random ones in the box, where the search from `guess` finds no rest
+ROUNDING = 1e-9  # of the size of a state or an input: this close to a bound it is on it
 
 
 class ReadOnly(dict[str, float]):
@@ -39,62 +41,113 @@ def kernel(plant: Declared) -> Kernel:
     if not plant.traced:
         cure = "trace the plant, or drop setpoint"
         raise ConfigError(f"plant {plant.name}: setpoint expected a plant that is traced, got traced = False; {cure}")
-    formulas, n, m = Formulas(plant, called=()), plant.n, plant.m
+    formulas, n, m, count = Formulas(plant, called=()), plant.n, plant.m, len(plant.parameters)
     trace = formulas.trace
     z, t = trace.vector("z", n + m), trace.input("t")
-    g = [*trace.f(z[:n], z[n:], t), *trace.setpoint(z[:n], t)]
-    if programs.depends(g, [t, *trace.parameters[len(plant.parameters) :]]):
+    g, of_rest = [*trace.f(z[:n], z[n:], t), *trace.setpoint(z[:n], t)], trace.parameters[count:]
+    if programs.depends(g, [t, *of_rest]):
         what = "expected f and setpoint free of t and of the rest itself, got others"
         raise ConfigError(f"plant {plant.name}: setpoint {what}; declare reference(t, p, M), or drop setpoint")
+    safe = [*trace.safe(z[:n], t)] if plant.declares_safe else []
+    safe = [] if programs.depends(safe, [t, *of_rest]) else safe  # such limits are none of a rest alone
     slope = programs.derivative(g, z, trace.vector("v", n + m))
-    arguments = [vector("z", n + m, "1"), vector("v", n + m, "1")]
-    text = formulas.function([*g, *slope], arguments, {"y": n + m, "dy": n + m}, "1")
-    return made("settle", SETTLE, skeleton("rest.h"), {"SLOPE": text}, {"N": n, "M": m}, exact=True)
+    state, along = vector("z", n + m, "1"), vector("v", n + m, "1")
+    texts = {"SLOPE": formulas.function([*g, *slope], [state, along], {"y": n + m, "dy": n + m}, "1")}
+    texts |= {"SAFE": formulas.function(safe, [state], {"y": len(safe)}, "1")} if safe else {}
+    sizes = {"N": n, "M": m, "PARAMETERS": max(count, 1), "LIMITS": len(safe)}
+    return made("settle", SETTLE, skeleton("rest.h"), texts, sizes, exact=True)
 
 
-def settled(plant: Any, p: np.ndarray, z: np.ndarray) -> np.ndarray | None:
-    """X* and U* (n + m,) of the parameters p, from z on; None where there is none that the search finds."""
-    z, arrived = np.array(z), np.zeros(1)
-    plant.settle(p, z, arrived)
-    return z if arrived[0] and np.isfinite(z).all() else None
+class Rest(NamedTuple):
+    """X* and U* as z (n + m,), and the smallest limit of `safe` there, infinity without one."""
+
+    z: np.ndarray
+    kept: float
+
+
+def settled(plant: Any, q: np.ndarray, p: np.ndarray, z: np.ndarray) -> Rest | None:
+    """The rest of the parameters p, from z on, which is that of the parameters q; None where the way there ends."""
+    z, arrived, kept = np.array(z), np.zeros(1), np.zeros(1)
+    plant.settle(q, p, plant.scales, z, arrived, kept)
+    return Rest(z, kept[0]) if arrived[0] and np.isfinite(z).all() else None
+
+
+def searched(plant: Any, p: np.ndarray) -> Iterator[Rest]:
+    """Rests of the parameters p, as they are found from `guess` and from random states of the box."""
+    draws, around = randomness.generator(0, "rest"), np.append(plant.guess, np.zeros(plant.m))
+    ends = np.stack([around - plant.scales, around + plant.scales], axis=1)
+    declared = [*(plant.box.get(name) for name in plant.states), *(plant.input_bounds or [None] * plant.m)]
+    for k, pair in enumerate(declared):
+        ends[k] = ends[k] if pair is None or not np.isfinite(pair).all() else pair
+    low, high = ends.T
+    for k in range(STARTS + 1):
+        z = draws.uniform(low, high)
+        z[: plant.n] = z[: plant.n] if k else plant.guess
+        if k % 2 == 0:  # else any input: f need not have a slope at 0 or where that slope leads
+            z[plant.n :] = _nearly_held(plant, p, z[: plant.n])
+        rest = settled(plant, p, p, z)
+        if rest is not None:
+            yield rest
+
+
+def bounds(plant: Any, of_inputs: np.ndarray, rounding: float = ROUNDING) -> np.ndarray:
+    """The ranges of X* and U*, (n + m, 2): `state_bounds`, and those of the inputs (m, 2), each with its rounding."""
+    free = (-np.inf, np.inf)
+    ranges = [*(plant.state_bounds.get(name, free) for name in plant.states), *of_inputs]
+    return np.array(ranges) + rounding * np.outer(plant.scales, [-1.0, 1.0])
+
+
+def beyond(plant: Any, z: np.ndarray, limits: np.ndarray) -> str:
+    """Those of X* and U* that are outside the limits (n + m, 2) of `bounds`, as text: q = 12; "" for none."""
+    outside = (z < limits[:, 0]) | (z > limits[:, 1])
+    names = (*plant.states, *plant.inputs)
+    return source_lines.values([names[k] for k in np.flatnonzero(outside)], z[outside]) if outside.any() else ""
 
 
 def first(plant: Any, p: np.ndarray) -> np.ndarray:
-    """X* and U* (n + m,) of the declared set-point, from `guess`, else from random states of the box.
+    """X* and U* (n + m,) of the set-point of the parameters p, from `guess`, else from random states of the box.
 
-    Raises ConfigError where no search ends.
+    Raises ConfigError where no search ends, and where the rest is beyond `state_bounds`.
     """
-    p, draws = np.append(p, np.zeros(plant.n + plant.m)), randomness.generator(0, "rest")
-    low, high = np.array([plant.box.get(name, (-1.0, 1.0)) for name in plant.states]).T
-    for k in range(STARTS + 1):
-        X = draws.uniform(low, high) if k else plant.guess
-        z = settled(plant, p, np.append(X, _nearly_held(plant, p, X)))
-        if z is not None:
+    free = np.tile([-np.inf, np.inf], (plant.m, 1))
+    limits = bounds(plant, free if plant.input_bounds is None else np.array(plant.input_bounds, dtype=float))
+    found = []
+    for rest in searched(plant, p):
+        if not beyond(plant, rest.z, limits):
+            return rest.z
+        found.append(rest.z)
+    of_states = bounds(plant, free)
+    for z in found:  # an input beyond its bounds is the law's to refuse
+        if not beyond(plant, z, of_states):
             return z
     values = source_lines.values([*plant.parameters], p[: len(plant.parameters)])
     what = f"expected a rest of the set-point, found none near guess = {plant.guess.tolist()} for {values}"
+    if found:
+        what = f"expected a rest within state_bounds for {values}, got {beyond(plant, found[0], of_states)}"
     raise ConfigError(f"{plant.location('setpoint')} {what}; move guess, or the parameters")
 
 
 def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """The input (m,) with which f is least at X, by one Gauss-Newton step from 0; zeros where f is not defined."""
-    u, p = np.zeros(plant.m), p.tolist()
+    """The input (m,) with the least f at X, in sizes of the states, by one Gauss-Newton step from 0; else zeros."""
+    u, p, sizes = np.zeros(plant.m), p.tolist(), plant.scales[: plant.n]
     with np.errstate(all="ignore"):
         try:
             f = np.array(plant.call("f", X.tolist(), u.tolist(), 0.0, p, array_math.NUMPY), dtype=float)
             f_U = np.array(plant.derivatives["f_u"](*X, *u, 0.0, *p), dtype=float).reshape(plant.m, plant.n).T
         except (ArithmeticError, ValueError):
             return u
+    f, f_U = f / sizes, f_U / sizes[:, None]
     return -np.linalg.lstsq(f_U, f, rcond=None)[0] if np.isfinite(f).all() and np.isfinite(f_U).all() else u
 
 
 def changed(
-    plant: Any, p: np.ndarray, values: Mapping[str, float], fixed: Mapping[str, str], bounds: np.ndarray
+    plant: Any, p: np.ndarray, values: Mapping[str, float], fixed: Mapping[str, str], limits: np.ndarray
 ) -> np.ndarray:
-    """The numbers p with other parameters, and with their rest, found from the last one.
+    """The numbers p with other parameters, and with their rest, followed from the last one; says which limits of `safe`
+    that breaks.
 
     `fixed` says of those that cannot be set why. Raises ConfigError for such a one, for a value that is not finite, and
-    where there is no rest with an input within `bounds` (m, 2).
+    where no rest follows that is within the limits of `bounds`.
     """
     p, before, count = p.copy(), p, len(plant.parameters)
     for name, value in values.items():
@@ -103,11 +156,18 @@ def changed(
         p[list(plant.parameters).index(name)] = value
     if np.array_equal(p, before) or not plant.declares_setpoint:
         return p
-    z, shown = settled(plant, p, p[count:]), ", ".join(f"{name} = {value:g}" for name, value in values.items())
-    U = None if z is None else z[plant.n :]
-    if U is None or (np.clip(U, *bounds.T) != U).any():
-        came = "found none" if U is None else f"got {source_lines.values(plant.inputs, U)}"
-        what = f"expected a rest with an input within its bounds for {shown}, {came}"
-        raise ConfigError(f"set: {what}; the old set-point stays, choose another")
-    p[count:] = z
+    rest = settled(plant, before, p, p[count:])
+    outside = "" if rest is None else beyond(plant, rest.z, limits)
+    shown = ", ".join(f"{name} = {value:g}" for name, value in values.items())
+    if rest is None or outside:
+        others = (other.z for other in searched(plant, p) if not beyond(plant, other.z, limits))
+        z = next(others, None)
+        names = (*plant.states, *plant.inputs)
+        cure = "choose another" if z is None else f"another branch rests with {source_lines.values(names, z)}"
+        what = f"expected a rest within its bounds for {shown}, {f'got {outside}' if outside else 'found none'}"
+        raise ConfigError(f"set: {what}; the old set-point stays, {cure}")
+    p[count:] = rest.z
+    if rest.kept < 0:
+        near = ", ".join(f"{name} = {value:.3g}" for name, value in values.items())  # so few that each can be said
+        say(f"set: {near}: expected a rest where safe is at least 0, got {rest.kept:.2g}; a safety filter keeps off it")
     return p

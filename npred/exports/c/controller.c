@@ -181,7 +181,7 @@ int npred_set_state(npred_controller *self, const npred_saved *state)
 int npred_set_parameters(npred_controller *self, const npred_real *values)
 {
     npred_real p[NPRED_NUMBERS];
-    int same = 1;
+    int same = 1, code = NPRED_OK;
     memcpy(p, self->saved.p, sizeof p);
     for (int i = 0; i < NPRED_PARAMETERS; i++) {
         same = same && p[the_places[i]] == values[i];
@@ -191,21 +191,19 @@ int npred_set_parameters(npred_controller *self, const npred_real *values)
         return same ? NPRED_OK : NPRED_SETPOINT_REFUSED;
     }
 #if SETTLES
-    npred_real rest[NPRED_N_STATES + NPRED_M_INPUTS], arrived[1];
-    memcpy(rest, p + NPRED_NUMBERS - NPRED_N_STATES - NPRED_M_INPUTS, sizeof rest);
-    the_settle(the_shape, p, rest, arrived, NULL);
-    int fits = arrived[0] > 0 && all_finite(NPRED_N_STATES + NPRED_M_INPUTS, rest);
-    for (int i = 0; i < NPRED_M_INPUTS; i++) {
-        const npred_real U = rest[NPRED_N_STATES + i];
-        fits = fits && U >= the_input_bounds[2 * i] && U <= the_input_bounds[2 * i + 1];
+    npred_real *rest = p + NPRED_NUMBERS - NPRED_N_STATES - NPRED_M_INPUTS, arrived[1], kept[1];
+    the_settle(the_shape, self->saved.p, p, the_units, rest, arrived, kept, NULL);
+    int fits = arrived[0] > 0;
+    for (int i = 0; i < NPRED_N_STATES + NPRED_M_INPUTS; i++) { /* NaN does not fit */
+        fits = fits && rest[i] >= the_rest_bounds[2 * i] && rest[i] <= the_rest_bounds[2 * i + 1];
     }
     if (!fits) {
         return NPRED_SETPOINT_REFUSED;
     }
-    memcpy(p + NPRED_NUMBERS - NPRED_N_STATES - NPRED_M_INPUTS, rest, sizeof rest);
+    code = kept[0] < 0 ? NPRED_SETPOINT_UNSAFE : NPRED_OK;
 #endif
     memcpy(self->saved.p, p, sizeof p);
-    return NPRED_OK;
+    return code;
 }
 
 /* Set parameter `number` of those that can be set. */

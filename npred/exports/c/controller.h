@@ -28,8 +28,10 @@ enum {
     NPRED_PREDICTION_NOT_FINITE = 2,
     NPRED_STATE_REFUSED = 3,    /* an argument is out of range, or from another controller; nothing has changed */
     NPRED_DELAY_TOO_LONG = 4,   /* D_hat is longer than the stored history of commands */
-    NPRED_SETPOINT_REFUSED = 5, /* not finite, or its rest needs a U outside the bounds; nothing has changed */
-    NPRED_STATE_UNKNOWN = 6     /* no sample yet that could be used, or none since a very long pause */
+    /* Not finite, or its rest is not found, or needs a state or a U outside the bounds: nothing has changed. */
+    NPRED_SETPOINT_REFUSED = 5,
+    NPRED_STATE_UNKNOWN = 6,    /* no sample yet that could be used, or none since a very long pause */
+    NPRED_SETPOINT_UNSAFE = 7   /* a warning: it is set, but its rest breaks a limit that the plant declares as safe */
 };
 
 /* All that a step needs from the steps before it. */
@@ -119,8 +121,9 @@ int npred_set_time(npred_controller *self, double t); /* the time of the next st
 const char *npred_version(void);
 #if SETS
 /* Set all parameters of plant and law that can be set, in the order of the functions below; the next step uses them.
- * The rest of a new set-point is computed here. Returns NPRED_OK, or NPRED_SETPOINT_REFUSED: then nothing has changed.
- * npred_init sets the first values. */
+ * The rest of a new set-point is followed from the present one here, by at most 500 of Newton's corrections. Returns
+ * NPRED_OK; NPRED_SETPOINT_UNSAFE, and it is set; or NPRED_SETPOINT_REFUSED: then nothing has changed. npred_init sets
+ * the first values. */
 int npred_set_parameters(npred_controller *self, const npred_real *values);
 /* The same for a single parameter, which may be the set-point. */
 #include "setters.h"

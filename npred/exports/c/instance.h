@@ -180,11 +180,15 @@ static int set_parameters(Instance *self, const uint32_t *references, size_t man
             p[place] = (npred_real)values[0];
         }
     }
-    if (npred_set_parameters(&self->controller, p) == NPRED_OK) {
-        return OK;
+    const int code = npred_set_parameters(&self->controller, p);
+    if (code == NPRED_SETPOINT_UNSAFE) {
+        return report(self, WARNING, "set: expected a set-point whose rest is safe, got another; it is set");
     }
-    return report(self, DISCARD, "set: expected a set-point whose rest has U within its bounds, got another; the old "
-                                 "one stays");
+    if (code != NPRED_OK) {
+        return report(self, DISCARD, "set: expected a set-point with a rest within its bounds, got another; the old one "
+                                     "stays");
+    }
+    return OK;
 }
 #endif
 
@@ -195,14 +199,15 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
     }
     const double *next = values;
     for (size_t i = 0; i < many; next += variables[references[i]].size, i++) {
-        const int status = settable(self, &variables[references[i]], next);
-        if (status != OK) {
-            return status;
+        const int allowed = settable(self, &variables[references[i]], next);
+        if (allowed != OK) {
+            return allowed;
         }
     }
+    int status = OK;
 #ifdef AT_PARAMETERS
-    const int status = set_parameters(self, references, many, values);
-    if (status != OK) {
+    status = set_parameters(self, references, many, values);
+    if (status > WARNING) {
         return status;
     }
 #endif
@@ -220,7 +225,7 @@ static int set_values(Instance *self, const uint32_t *references, size_t many, c
         memcpy(self->now.values + AT_U, self->now.values + AT_U0, NPRED_M_INPUTS * sizeof *self->now.values);
     }
 #endif
-    return OK;
+    return status;
 }
 
 static int enter_initialization(Instance *self, double start)
