@@ -57,11 +57,15 @@ class Truth:
         self.n, self.scale = len(box), np.append(width, np.ptp(bounds, axis=1)) / 2
         self.inner, self.limits = np.concatenate([box, bounds]), np.concatenate([reach, bounds])
         self.guess = np.append(model.guess or box.mean(axis=1), bounds.mean(axis=1))
-        draws = self.rng.uniform(*self.inner.T, (200, len(self.inner)))
+        draws = self.drawn(200)
         with np.errstate(all="ignore"):
             usual = np.nanmedian(np.abs([self.f(z) for z in draws]), axis=0)
         self.usual = np.where(usual > 0, usual, 1.0)
         self.ranges = np.array([*model.aims.values()])
+
+    def drawn(self, count: int) -> np.ndarray:
+        """States of the box with inputs of the bounds, (count, n + m)."""
+        return self.rng.uniform(self.inner[:, 0], self.inner[:, 1], (count, len(self.inner)))
 
     def f(self, z: np.ndarray) -> np.ndarray:
         return np.array(self.model.f(self.state(*z[: self.n]), self.input(*z[self.n :]), np), dtype=float)
@@ -78,7 +82,7 @@ class Truth:
 
     def asked(self, aims: np.ndarray) -> Asked | None:
         """A set-point with its rest; None where that is left open."""
-        starts = [self.guess, *self.rng.uniform(*self.inner.T, (STARTS, len(self.inner)))]
+        starts = [self.guess, *self.drawn(STARTS)]
         low, high = (self.limits / self.scale[:, None]).T
         least = np.inf
         for start in starts:

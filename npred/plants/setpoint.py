@@ -9,7 +9,6 @@ from npred.base import randomness, source_lines
 from npred.base.errors import ConfigError
 from npred.base.progress import say
 from npred.formulas import array_math, programs
-from npred.formulas.declared import Declared
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 
@@ -36,7 +35,7 @@ def of_rest(states: tuple[str, ...], inputs: tuple[str, ...]) -> tuple[str, ...]
     return tuple(f"rest_{name}" for name in (*states, *inputs))
 
 
-def kernel(plant: Declared) -> Kernel:
+def kernel(plant: Any) -> Kernel:
     """Newton's steps to the rest, the same in C and in an export. Raises ConfigError for functions that have none."""
     if not plant.traced:
         cure = "trace the plant, or drop setpoint"
@@ -111,19 +110,19 @@ def first(plant: Any, p: np.ndarray) -> np.ndarray:
     """
     free = np.tile([-np.inf, np.inf], (plant.m, 1))
     limits = bounds(plant, free if plant.input_bounds is None else np.array(plant.input_bounds, dtype=float))
-    found = []
+    rests = []
     for rest in searched(plant, p):
         if not beyond(plant, rest.z, limits):
             return rest.z
-        found.append(rest.z)
+        rests.append(rest.z)
     of_states = bounds(plant, free)
-    for z in found:  # an input beyond its bounds is the law's to refuse
+    for z in rests:  # an input beyond its bounds is the law's to refuse
         if not beyond(plant, z, of_states):
             return z
     values = source_lines.values([*plant.parameters], p[: len(plant.parameters)])
     what = f"expected a rest of the set-point, found none near guess = {plant.guess.tolist()} for {values}"
-    if found:
-        what = f"expected a rest within state_bounds for {values}, got {beyond(plant, found[0], of_states)}"
+    if rests:
+        what = f"expected a rest within state_bounds for {values}, got {beyond(plant, rests[0], of_states)}"
     raise ConfigError(f"{plant.location('setpoint')} {what}; move guess, or the parameters")
 
 
