@@ -1,5 +1,7 @@
 """The controller alone, for a real plant: one control step per call, on memory taken at the start."""
 
+import hashlib
+import json
 import math
 import operator
 from collections.abc import Mapping
@@ -430,7 +432,13 @@ class Controller(InNotebook):
         if self.plant.p_names:
             remembered["parameters"] = self._numbers
         rate = None if math.isnan(phi) else phi
-        return {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0} | remembered
+        start = {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0}
+        return {"plant": self._formulas} | start | remembered
+
+    @cached_property
+    def _formulas(self) -> str:
+        """A digest of the plant, numbers aside, by which a state of another one is refused."""
+        return hashlib.sha256(json.dumps(dict(self.plant.formulas), sort_keys=True).encode()).hexdigest()[:16]
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
@@ -439,6 +447,8 @@ class Controller(InNotebook):
             phi, t0 = state.get("phi"), state.get("t0", 0.0)
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
+        if state.get("plant", self._formulas) != self._formulas:
+            raise ConfigError(f"state: expected one of plant {self.plant.name}, got another's; restore it there")
         before = self.state()
         self._recall(state)
         try:

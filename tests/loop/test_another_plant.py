@@ -143,6 +143,20 @@ def test_a_part_of_another_plant_is_refused_and_of_the_same_one_made_again_taken
             run(PLANT, make(foreign))
 
 
+def test_a_state_of_another_plants_controller_is_refused_and_nothing_changes():
+    one, same, other = (
+        npred.controller(of, npred.predictor(of, "rk4", 11), None, 0.05, D_hat=0.2)
+        for of in (PLANT, npred.plant(type("Copy", (Swing,), {})), npred.plant(Stiff))
+    )
+    one.step([0.3, 0.1])
+    before = other.state()
+    with pytest.raises(ConfigError, match="state: expected one of plant Stiff, got another's"):
+        other.restore(one.state())
+    assert other.state() == before
+    same.restore(one.state())
+    assert np.array_equal(same.step([0.2, 0.1]), one.step([0.2, 0.1]))
+
+
 def test_another_plant_may_be_simulated():
     simulated(PLANT, {"truth": npred.plant(Stiff)})
 
