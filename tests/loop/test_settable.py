@@ -331,7 +331,7 @@ def test_the_simulated_plant_reads_the_parameter_too(more):
         ({"aim": 3.0}, "setpoints: aim: expected"),
         ({"aims": ([0.0], [1.0])}, "did you mean aim"),
         ({"pull": ([0.0], [1.0])}, "the law was designed with it"),
-        ({"aim": ([0.0], [1.5])}, "a rest with an input within its bounds for aim = 1.5"),
+        ({"aim": ([0.0], [1.5])}, "a rest within its bounds for aim = 1.5"),
     ],
 )
 def test_a_course_that_cannot_be_is_refused(course, said):
