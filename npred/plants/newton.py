@@ -53,6 +53,8 @@ def search(
     as next to a kink of F, and doubled where they do.
     """
     start, s, share, left = F(z)[0], 0.0, 1.0, CORRECTIONS
+    if not start.any():  # there already, with a derivative or without
+        return z, True
     while s < 1 and share > SHORTEST and left > 0:
         there = min(s + share, 1.0)
         moved, spent, arrived = _corrected(F, (1.0 - there) * start, z, units, min(TRIES, left))

@@ -370,7 +370,7 @@ def test_two_courses_are_set_each_at_its_own_times_whichever_is_named_first(load
         ({"aim": 3.0}, "setpoints: aim: expected"),
         ({"aims": ([0.0], [1.0])}, "did you mean aim"),
         ({"pull": ([0.0], [1.0])}, "the law was designed with it"),
-        ({"aim": ([0.0], [1.5])}, "a rest with an input within its bounds for aim = 1.5"),
+        ({"aim": ([0.0], [1.5])}, "a rest within its bounds for aim = 1.5"),
     ],
 )
 def test_a_course_that_cannot_be_is_refused(course, said):

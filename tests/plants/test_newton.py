@@ -47,6 +47,11 @@ def test_an_equation_that_nothing_moves_must_hold_already(rate):
     assert newton.search(F, np.zeros(2), np.ones(2))[1] == (rate == 0)
 
 
+def test_a_zero_without_a_derivative_is_one():
+    F = lambda z: (np.sqrt(np.abs(z)), np.array([[np.inf]]))
+    assert newton.search(F, np.zeros(1), np.ones(1))[1]
+
+
 @settings(max_examples=20, deadline=None)
 @given(POWERS, POWERS)
 def test_sizes_that_are_not_declared_follow_from_those_that_are(second, size):
