@@ -65,7 +65,7 @@ def find_nothing(folder, file, *flags, names=("gcc", "clang")):
         only = ["-c", "-o", "found_nothing.o"] if name == "zig" else ["-fsyntax-only"]  # which zig does not know
         command = [*COMPILERS[name], *flags, "-Werror", *only, file]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
-        assert (done.returncode, done.stderr) == (0, ""), name
+        assert done.returncode == 0 and not done.stderr, f"{name}: {done.stderr}"
 
 
 def library(controller, folder, precision="double"):

@@ -66,7 +66,11 @@ class Claims:
 
     def predicted(self, nodes: int, method: type[OneStep] = Held, **settings: Any) -> Trajectories:
         """Loops with that predictor and D_hat = D."""
-        return simulate(self.plant, method(self.plant, nodes), **{"D": self.D, "D_hat": self.D, "dt": DT} | settings)
+        return simulate(
+            self.plant,
+            method(self.plant, nodes),
+            **{"D": self.D, "D_hat": self.D, "dt": DT, "u0": self.plant.m * [0.0]} | settings,
+        )
 
     def test_its_pipeline_fits(self):
         name = self.pipeline or self.plant.name

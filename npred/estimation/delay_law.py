@@ -4,7 +4,7 @@ import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -45,6 +45,7 @@ class DelayLaw(ABC):
         For a gain, b or bounds that make no sense.
     """
 
+    integrates: ClassVar = True  # whether D_hat follows from a rate, step by step
     gamma: float = 1.0
     b: float = 1.0
     bounds: tuple[float, float] = None  # type: ignore[assignment]

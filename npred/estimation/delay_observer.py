@@ -42,6 +42,7 @@ Nothing is proven about this law; the nearest theory is that of multiple-model e
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -94,6 +95,7 @@ class DelayObserver(DelayLaw):
         For settings that make no sense.
     """
 
+    integrates: ClassVar = False
     candidates: int = 80
     L: float | None = None
     omega: float | None = None

@@ -85,7 +85,8 @@ def stepped(loop: Loop, D: Any, D_hat: Any, t_end: Any) -> Loop:
         return loop
     ends, delays = array_checks.number("t_end", t_end), array_checks.floats("D", D)
     spans = delays if (delays > 0).any() else array_checks.floats("D_hat", D_hat)
-    dt = min(control_step.usual(spans, loop.plant), ends)
+    integrates = loop.adaptation is not None and loop.adaptation.integrates
+    dt = min(control_step.usual(spans, loop.plant, integrates), ends)
     return replace(loop, dt=dt)
 
 

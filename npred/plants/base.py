@@ -409,9 +409,10 @@ class Plant(InNotebook):
     @cached_property
     def formulas(self) -> Mapping[str, Any]:
         """What moves its state, numbers aside: the names of states and inputs, f, and how late each input is."""
-        texts = {name: self.printed(name) for name in ("f", "delay") if name == "f" or self.declares_delay}
-        texts = {name: _digest(text) for name, text in (texts if self.traced else self.program).items()}
-        return {"states": self.states, "inputs": self.inputs, "ratios": self.ratios.tolist()} | texts
+        functions = ("f", "delay") if self.declares_delay else ("f",)
+        texts = {name: self.printed(name) for name in functions} if self.traced else self.program
+        of = {"states": self.states, "inputs": self.inputs, "ratios": self.ratios.tolist()}
+        return of | {name: _digest(text) for name, text in texts.items()}
 
     @cached_property
     def identity(self) -> Mapping[str, Any]:

@@ -91,7 +91,7 @@ def test_one_wrong_sample_at_rest_is_forgotten_within_the_delay(name, kind, at, 
 
 def test_a_filter_that_is_lost_begins_anew_and_says_so():
     """A reading of 6 may be: a filter that begins believes it, and the true ones are then far for as long."""
-    loop = Loop(controller("chemostat", "EKF")).run(1.0).run(1.4, constant(6.0))
+    loop = Loop(controller("chemostat", "EKF")).run(2.0).run(1.4, constant(6.0))
     assert loop.one.status.renewed == 0 and loop.one.status.refused == 140
     loop.run(0.2, constant(6.0))
     assert loop.one.status.renewed == 1 and loop.one.X_hat[1] == pytest.approx(6.0, abs=0.05)

@@ -38,7 +38,15 @@ CASES = {  # plant, D(X, t), X0, settings, times; at dt = 0.005 the error of the
     "time": (IN_TIME, InTime.D, X0, {}, (1.0, 4.0), 2.48e-3, (2e-5, 5e-6)),
     "state": (IN_SPACE, InSpace.D, X0, {}, (1.0, 4.0), 4.51e-3, (1.4e-3, 3.5e-4)),
     "tank": (TANK, lambda X, t: TANK.delay(np.array(X)), (2.8, 25.0), REST, (4.0, 7.0), 1.70e-2, (2.5e-4, 2.5e-5)),
-    "constant": (PAPER, lambda X, t: 1.0, (0.03, 30.0), {"D": 1.0, "D_hat": 1.0}, (2.0, 5.0), 3.49e-3, (7e-6, 3e-7)),
+    "constant": (
+        PAPER,
+        lambda X, t: 1.0,
+        (0.03, 30.0),
+        {"D": 1.0, "D_hat": 1.0, "u0": [0.0]},
+        (2.0, 5.0),
+        3.49e-3,
+        (7e-6, 3e-7),
+    ),
 }
 
 

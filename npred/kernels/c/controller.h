@@ -11,6 +11,7 @@ enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4, ST
 #define AROUND 6.0 /* half widths of the box: a state that jumps farther is accepted later */
 #define DOUBTFUL 0.5 /* share of the distance at which a sample is refused, beyond which one that is taken may be wrong */
 #define MOST 1e12  /* largest factor by which that grows */
+#define NEARLY 1e-3 /* control steps: a wait that is so close to D_hat has lasted, also in float */
 
 /* What a controller with a history remembers, as npred/loop/clock.py declares it. */
 typedef struct {
@@ -201,9 +202,9 @@ enum { USED = 1, FAR = 2 };
  * 1, and ten times as much after each further D_hat. */
 static inline double believable(Shape d, double first, double taken, const Settings *s, const State *z)
 {
-    const double time = (taken - first) * s->dt, lived = (first - clock_of(d, z->clock).stamp[RENEWED_AT]) * s->dt;
-    const double times = larger(time / larger(z->D_hat[0], s->dt) - 1.0, 0.0);
-    return time < smaller(z->D_hat[0], lived) ? 0.0 : smaller(pow(10.0, times), MOST);
+    const double waited = taken - first, lived = first - clock_of(d, z->clock).stamp[RENEWED_AT];
+    const double times = larger(waited * s->dt / larger(z->D_hat[0], s->dt) - 1.0, 0.0);
+    return waited + NEARLY < smaller(z->D_hat[0] / s->dt, lived) ? 0.0 : smaller(pow(10.0, times), MOST);
 }
 
 /* Correct a filter, which is at the time of the sample, by the outputs that are not too far from its own. `fate` says of

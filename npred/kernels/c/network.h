@@ -135,7 +135,7 @@ static INLINED void product(int rows, int terms, int n, int panel, REAL *out, Vi
 }
 
 /* out (rows, n) = bias + a (rows, terms) times the transpose of b (n, terms), for few columns. */
-static INLINED void dots(int rows, int terms, int n, REAL *out, View to, const REAL *a, View of, const REAL *b, View by,
+SPARE static INLINED void dots(int rows, int terms, int n, REAL *out, View to, const REAL *a, View of, const REAL *b, View by,
                          const REAL *bias, View from)
 {
     const int tiled = terms - terms % LANE;

@@ -49,12 +49,12 @@ class TestClaims(plant_claims.Claims):
 
 
 def test_the_published_loop_is_that_of_an_independent_solver():
-    loop = simulate(PLANT, RK4(PLANT, 101), D=1.5, D_hat=1.8, X0=[2.0, 2.0], t_end=10.0, adaptation=LAW)
+    loop = simulate(PLANT, RK4(PLANT, 101), D=1.5, D_hat=1.8, X0=[2.0, 2.0], t_end=10.0, adaptation=LAW, u0=[0.0])
     np.testing.assert_allclose(loop.X, plant_claims.replayed(PLANT, loop, 1.5), rtol=0, atol=1e-6)
 
 
 def test_the_published_loop_converges_and_its_input_stays_positive():
-    loop = simulate(PLANT, RK4(PLANT, 101), D=1.5, D_hat=1.8, X0=[2.0, 2.0], t_end=35.0, adaptation=LAW)
+    loop = simulate(PLANT, RK4(PLANT, 101), D=1.5, D_hat=1.8, X0=[2.0, 2.0], t_end=35.0, adaptation=LAW, u0=[0.0])
     np.testing.assert_allclose(loop.X[-1], X_STAR, atol=1e-3)
     assert loop.U.min() > 0
     assert ((loop.D_hat >= 1.0) & (loop.D_hat <= 2.0)).all()
