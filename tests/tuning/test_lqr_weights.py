@@ -186,3 +186,36 @@ def test_the_pipeline_that_is_written_has_the_law_with_the_new_weights(folder: P
     assert again.held_out.settle_time.before == pytest.approx(answer.held_out.settle_time.after)
     text = CliRunner().invoke(app, ["tune", "better.toml", "--free", "Q=0.99:1.01", "-o", "none.toml"]).stdout
     assert "no clear gain" in text and not (folder / "none.toml").exists()
+
+
+def test_where_all_weights_are_free_one_is_held_that_has_no_range_of_its_own():
+    weights = LqrWeights.of(lever())
+    assert weights is not None
+    names = ["Q.x", "Q.v", "R.F", "R.G"]
+    for free, bounds, held in (
+        (["Q", "R"], {}, "R.G"),
+        (["Q", "R"], {"R.G": (0.1, 1.0)}, "R.F"),
+        (names, dict.fromkeys(names, (0.1, 1.0)), "R.G"),
+        (["R"], {}, ""),
+        (["Q", "R.F"], {}, ""),
+    ):
+        table = config.Tune(free=[*free, *(name for name in bounds if name not in free)], bounds=bounds)
+        assert weights.held(table) == held
+        chosen = [name for name in names if name in table.free or name[0] in table.free]
+        assert weights.named(table) == [name for name in chosen if name != held]
+
+
+@pytest.mark.parametrize(("free", "said"), [("Q", 'expected kappa = "lqr" for its weight Q'), ("k", "there is none")])
+def test_weights_of_another_law_and_a_law_without_gains_are_said(free: str, said: str, folder: Path):
+    law = "\n    def kappa(x, t, p, M):\n        return [-3.0 * x.x - x.v, 0.0]\n"
+    (folder / "lever.py").write_text(PLANT.rstrip() + "\n" + law)
+    tables = {key: value for key, value in TABLES.items() if key != "kappa"} | {"tune": {"free": [free]}}
+    plain = config.parse(tables, "lever.toml")
+    with pytest.raises(ConfigError, match=f"free: {'expected a parameter .*' if free == 'k' else ''}{said}"):
+        tune(plain, plants.resolve("lever.py:Lever"))
+
+
+def test_a_column_is_no_file_of_the_pipeline(folder: Path):
+    done = CliRunner().invoke(app, ["identify", "log.csv", "--plant", "scalar", "--output", "pH=COL"])
+    assert done.exit_code == 2 and "--output: expected the file of the pipeline, got 'pH=COL'" in done.output
+    assert "--output-column pH=COL" in done.output

@@ -232,9 +232,9 @@ class Observer(ABC):
         all of the plant's outputs are meant.
         """
         states, outputs = self.plant.states, self.plant.outputs
-        own = self.plant.declares_output and self.outputs == outputs
+        all_own = self.plant.declares_output and self.outputs == outputs
         return [
-            states.index(name) if name in states and not own else len(states) + outputs.index(name)
+            states.index(name) if name in states and not all_own else len(states) + outputs.index(name)
             for name in self.outputs
         ]
 

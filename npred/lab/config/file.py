@@ -104,8 +104,8 @@ def _sentence(error: ValidationError) -> str:
     """The first fault of a pipeline: its key, what was expected there, and what came. A key that is unknown comes
     first: what is below it was meant for another table, which may be faulty without it.
     """
-    found: list[Any] = error.errors()
-    first = min(found, key=lambda each: (each["type"], len(each["loc"])) != ("extra_forbidden", 1))
+    faults: list[Any] = error.errors()
+    first = min(faults, key=lambda each: (each["type"], len(each["loc"])) != ("extra_forbidden", 1))
     unknown, path = first["type"] == "extra_forbidden", _path(first)
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     where = json_files.escaped(where)
@@ -125,7 +125,7 @@ def _sentence(error: ValidationError) -> str:
         said = str(first["ctx"]["error"])
         above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
         return f"{above + '.' if above else ''}{said}"
-    said = [words.expected(each) for each in found if _path(each)[: len(path)] == path]
+    said = [words.expected(each) for each in faults if _path(each)[: len(path)] == path]
     kinds, came = " or ".join(dict.fromkeys(kind for kind, _ in said)), first["input"]
     near = similar(str(came), re.findall(r"'(.*?)'", kinds)) or f"; {said[0][1]}"
     return f"{where}: expected {kinds}, got {reprlib.repr(came)}{near}"

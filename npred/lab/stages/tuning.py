@@ -189,7 +189,8 @@ class LqrWeights:
         """Only ratios count: where all weights are free the last is held, or the last without a range; else ""."""
         if any(name not in table.free and name[0] not in table.free for name in self.present):
             return ""
-        return next((name for name in reversed(self.present) if name not in table.bounds), [*self.present][-1])
+        names = [*self.present]
+        return next((name for name in reversed(names) if name not in table.bounds), names[-1])
 
     def table(self, numbers: Mapping[str, float]) -> dict[str, Any]:
         """The kappa of a pipeline with these weights, and the present ones for the others."""
