@@ -24,8 +24,8 @@ def scales(plant: Any) -> np.ndarray:
     """
     pairs = [*(plant.box.get(name, (0.0, 0.0)) for name in plant.states), *(plant.input_bounds or [(0, 0)] * plant.m)]
     sizes = np.ptp(np.array(pairs, dtype=float), axis=1) / 2
-    known = np.isfinite(sizes) & (sizes > 0)
-    sizes = np.where(known, sizes, np.append(np.abs(plant.guess), np.zeros(plant.m)))
+    declared = np.isfinite(sizes) & (sizes > 0)
+    sizes = np.where(declared, sizes, np.append(np.abs(plant.guess), np.zeros(plant.m)))
     if (sizes > 0).all() or not plant.traced:
         return np.where(sizes > 0, sizes, 1.0)
     at = [*plant.guess, *np.zeros(plant.m), 0.0, *plant.p_declared]

@@ -77,7 +77,7 @@ def graceful(line: str = LINE) -> Iterator[None]:
 
 @contextmanager
 def below(view: object) -> Iterator[None]:
-    """What is said of a signal in the block begins a line of its own, below the last row of a live view."""
+    """What is said of a signal in the block begins a new line, below the last row of a live view."""
     _views.append(view)
     try:
         yield
