@@ -110,7 +110,7 @@ def _untimed(content: bytes) -> Any:
     value = json_or_none(content)
     if not isinstance(value, dict) or not isinstance(value.get("provenance"), dict):
         return value
-    provenance = {name: item for name, item in value["provenance"].items() if name != "made"}
+    provenance = {name: item for name, item in value["provenance"].items() if name not in ("made", "seconds")}
     return {name: item for name, item in value.items() if name != "checksum"} | {"provenance": provenance}
 
 

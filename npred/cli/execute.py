@@ -175,13 +175,16 @@ def _document(stages: Sequence[Step | Outcome], result: dict[str, object] | None
     for stage in stages:
         model = {"model": stage.node.model} if stage.node.model else {}
         row = {"stage": stage.node.stage, "key": stage.key, "action": stage.action} | model
-        rows.append(row | {"reason": stage.reason, "seconds": round(stage.seconds, 3)})
+        seconds = None if stage.seconds is None else round(stage.seconds, 3)
+        rows.append(row | {"reason": stage.reason, "seconds": seconds})
     return {"stages": rows, "result": result}
 
 
 def _table(options: Work, stages: Sequence[Step | Outcome]) -> str:
-    head = ["stage", "key", "action", "seconds", "reason"]
-    rows = [[s.node.title, short(s.key or "-"), s.action, f"{s.seconds:.1f}", s.reason] for s in stages]
-    if options.dry_run:  # a plan has taken no time
+    times = ["–" if s.seconds is None else f"{s.seconds:.1f}" for s in stages]
+    column = "s last time" if options.dry_run else "seconds"
+    head = ["stage", "key", "action", column, "reason"]
+    rows = [[s.node.title, short(s.key or "-"), s.action, t, s.reason] for s, t in zip(stages, times, strict=True)]
+    if all(s.seconds is None for s in stages):  # a plan of what never ran
         head, rows = [*head[:3], head[4]], [[*row[:3], row[4]] for row in rows]
-    return columns(head, rows, options.console.width)
+    return columns(head, rows, options.console.width, {column})

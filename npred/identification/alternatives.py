@@ -92,14 +92,15 @@ def static_error(train: Segments, later: Segments, delays: list[np.ndarray]) -> 
     """The same of constant gains, y = a + b u(t - D), with the best of these delays (m,), fitted to `train`."""
     best: tuple[float, np.ndarray] = np.inf, np.zeros((1, 1))
     Y, third = train.Y[train.mask], _third(later)
+    unit = np.where(spread(Y) > 0, spread(Y), 1.0)  # of an output that never moves the gains are exact
     for D in delays:
         A, B = (np.concatenate([np.ones((*s.t.shape, 1)), s.log.arrived(s.t, D)], axis=-1) for s in (train, later))
         gains = np.zeros((A.shape[-1], Y.shape[1]))
         for k, y in enumerate(Y.T):
             rows = np.isfinite(y)
             gains[:, k] = np.linalg.lstsq(A[train.mask][rows], y[rows], rcond=None)[0]
-        cost = float(np.nansum(((Y - A[train.mask] @ gains) / (spread(Y) + 1e-300)) ** 2))
-        if cost < best[0]:
+        cost = float(np.nansum(((Y - A[train.mask] @ gains) / unit) ** 2))
+        if cost <= best[0]:
             best = cost, (later.Y - B @ gains)[:, third:]
     return _squares(best[1])
 

@@ -15,6 +15,7 @@ SMALL, ARRIVED = 0.01, 1e-8  # corrections: one that need not halve, and one aft
 SINGULAR = 1e-11  # share of the largest singular value
 
 
+@np.errstate(all="ignore")
 def scales(plant: Any) -> np.ndarray:
     """How large a change of each state and input counts as one, (n + m,).
 
@@ -28,12 +29,12 @@ def scales(plant: Any) -> np.ndarray:
     if (sizes > 0).all() or not plant.traced:
         return np.where(sizes > 0, sizes, 1.0)
     at = [*plant.guess, *np.zeros(plant.m), 0.0, *plant.p_declared]
-    with np.errstate(all="ignore"):
-        try:
-            columns = [plant.derivatives[name](*at) for name in ("f_x", "f_u")]
-        except (ArithmeticError, ValueError):  # floats raise where arrays give NaN
-            return np.where(sizes > 0, sizes, 1.0)
-    slopes = np.abs(np.nan_to_num(np.concatenate(columns).astype(float)).reshape(-1, plant.n).T)
+    try:
+        columns = [plant.derivatives[name](*at) for name in ("f_x", "f_u")]
+    except (ArithmeticError, ValueError):  # floats raise where arrays give NaN
+        return np.where(sizes > 0, sizes, 1.0)
+    slopes = np.abs(np.concatenate(columns).astype(float)).reshape(-1, plant.n).T
+    slopes[~np.isfinite(slopes)] = 0.0  # that of a root at 0, say: it tells no size
     for _ in sizes:  # from the known ones to their neighbours
         moved = slopes @ sizes
         for k in np.flatnonzero(sizes == 0):
@@ -43,6 +44,7 @@ def scales(plant: Any) -> np.ndarray:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+@np.errstate(all="ignore")  # F may overflow on the way: a step to where it is not finite is refused
 def search(
     F: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], z: np.ndarray, units: np.ndarray
 ) -> tuple[np.ndarray, bool]:

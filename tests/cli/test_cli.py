@@ -135,6 +135,18 @@ def test_a_dry_run_runs_nothing_and_writes_nothing(call: Call, fakes: Path):
     assert not Path("artifacts").exists()
 
 
+def test_a_plan_says_how_long_each_stage_took_the_last_time(call: Call, fakes: Path):
+    call("train", "tiny.toml", "--set", "seed=7")
+    ran = {row["stage"] + row.get("model", ""): row for row in document(call("run", "tiny.toml", "--json"))["stages"]}
+    planned = document(call("run", "tiny.toml", "--dry-run", "--json", "--set", "seed=9"))["stages"]
+    for row in planned:
+        seconds = ran[row["stage"] + row.get("model", "")]["seconds"]
+        assert row["action"] == "run" and 0 <= row["seconds"] <= seconds + 0.001  # the store has written it since
+    header, first, *_ = call("run", "tiny.toml", "--dry-run").stdout.splitlines()
+    assert header.split()[:6] == ["stage", "key", "action", "s", "last", "time"]
+    assert re.search(r"generate +[0-9a-f]{12} +hit +\d+\.\d +up to date", first)
+
+
 def test_force_reruns_the_stage_and_not_what_it_needs(call: Call):
     call("train", "tiny.toml")
     result = call("train", "tiny.toml", "--force", "--json")

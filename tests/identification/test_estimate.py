@@ -121,3 +121,9 @@ def test_an_error_on_held_back_samples_is_of_a_model_that_has_not_seen_them():
     shifted[:, third:] += 0.7
     assert np.sqrt(prediction_error(candidate, segments).mean()) < 0.01
     assert abs(np.sqrt(prediction_error(candidate, replace(segments, Y=shifted)).mean()) - 0.7) < 0.01
+
+
+def test_constant_gains_are_the_best_rival_where_an_output_never_moves():
+    t, U, X = decayed(0.3, noise=0.0)
+    found = npred.identify(decay(), t, U, np.where(np.isnan(X), X, 1.0), longest=1.0)
+    assert found.refused and found.held_back["static"] < 1e-9 < found.held_back["model"]

@@ -64,3 +64,20 @@ def test_sizes_that_are_not_declared_follow_from_those_that_are(second, size):
             return [(u.heat - 0.4 * x.T / size) * size / second, (0.1 * x.T / size - x.load) / second]
 
     np.testing.assert_allclose(npred.plant(Oven).scales, [50.0 * size, 5.0, 20.0], rtol=1e-12)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_root_at_its_guess_tells_no_size_and_warns_of_nothing():
+    class Tank:
+        states, inputs, box = ("h",), ("q",), {"h": (0.05, 2.0)}
+
+        def f(x, u, t, p, M):
+            return [u.q - M.sqrt(x.h)]
+
+    np.testing.assert_allclose(npred.plant(Tank).scales, [0.975, 1.0])
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_an_overflow_on_the_way_ends_the_search_without_a_warning():
+    F = lambda z: (np.exp(400 * z) * np.array([1e300]), np.array([[np.inf]]))
+    assert not newton.search(F, np.array([3.0]), np.ones(1))[1]

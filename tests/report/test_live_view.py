@@ -1,12 +1,14 @@
 """The live view and bars: what a console shows of each stage, on terminals, in notebooks and without a screen."""
 
 import io
+import re
 import sys
 import threading
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
+from rich.cells import cell_len
 from rich.console import Console as Rich
 
 from npred.base.progress import counted
@@ -95,17 +97,32 @@ def test_words_move_no_cursor(view: LiveView):
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 100, 200])
-def test_no_row_is_wrapped(clock: Clock, width: int):
-    view = LiveView("a pipeline on cuda:0", ["generate", "train deeponet", "train fno"], clock)
+@pytest.mark.parametrize("words", ["", "loss 2.50e-01, ε sup 1.20e-01", "a long sentence " * 20, "wide 零件 " * 30])
+def test_a_row_is_one_line_and_ends_with_its_times(clock: Clock, width: int, words: str):
+    view = LiveView("a pipeline on cuda:0" * 20, ["generate", "train deeponet", "train fno"], clock, width)
     view.finish("generate", "hit")
-    view.doing("train fno", "importing and compiling")
-    with view.bar("train deeponet", 2000) as advance:
-        advance(1000, "1000/2000 epochs")
-        clock.now = 3599.0
+    view.doing("train fno", f"importing {words}")
+    with view.bar("train deeponet", 2000) as advance, view.bar(f"scenarios {words}", 100) as move:
+        for k in (1, 2):
+            clock.now = 1799.5 * k
+            advance(500, f"{500 * k}/2000 epochs, {words}")
+            move(5, f"{5 * k}/100 steps")
         lines = shown(view, width)
-        assert len(lines) == 3 and max(map(len, lines)) <= width
-        if width >= 80:
-            assert "1000/2000 epochs" in lines[1] and "0:59:59" in lines[1] and "━" in lines[1]
+        assert len(lines) == 4 and max(map(cell_len, lines)) <= width - 2  # two are for the terminal's ^C
+        assert all(line.startswith(mark) for line, mark in zip(lines, "✓▸▸▸", strict=True))
+        assert lines[1].endswith(" 0:59:59 0:59:59") and lines[2].endswith(" 0:59:59")
+        assert lines[3].endswith(" 0:59:59 8:59:51")
+        assert "━" in lines[1]
+
+
+def test_a_training_fits_eighty_columns(clock: Clock):
+    view = LiveView("paper on cpu", ["generate", "train deeponet"], clock, 80)
+    with view.bar("train deeponet", 200) as advance:
+        clock.now = 10.0
+        advance(50, "50/200 epochs, loss 2.50e-01")
+        assert shown(view, 80)[1].split() == [
+            *("▸", "train", "deeponet", "━", "50/200", "epochs,", "loss", "2.50e-01", "0:00:10", "-:--:--")
+        ]
 
 
 def test_threads_count_together(view: LiveView):
@@ -122,6 +139,24 @@ class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True
 
+    def lines(self) -> list[str]:
+        """What stands on the screen after all that was written, of the controls those that the view uses."""
+        rows, at, column = [""], 0, 0
+        for part in re.findall(r"\x1b\[[?\d;]*[A-Za-z]|\r|\n|[^\x1b\r\n]+", self.getvalue()):
+            if part == "\n":
+                at, column = at + 1, 0
+                rows += [""] * (at == len(rows))
+            elif part == "\r":
+                column = 0
+            elif part == "\x1b[2K":
+                rows[at] = ""
+            elif up := re.fullmatch(r"\x1b\[(\d+)A", part):
+                at -= int(up[1])
+            elif not part.startswith("\x1b"):
+                rows[at] = rows[at][:column].ljust(column) + part + rows[at][column + len(part) :]
+                column += len(part)
+        return [row.rstrip() for row in rows]
+
 
 def test_a_terminal_gets_the_view_and_messages_above_it(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("TERM", "xterm-256color")
@@ -137,6 +172,29 @@ def test_a_terminal_gets_the_view_and_messages_above_it(monkeypatch: pytest.Monk
     text = sys.stderr.getvalue()  # type: ignore[attr-defined]
     assert "tiny on cpu" in text and "warning: far out" in text
     assert text.rindex("0:00:00") > text.index("far out")
+
+
+@pytest.mark.parametrize("others", ["stderr", "stdout"])
+def test_what_others_write_stands_above_the_view(monkeypatch: pytest.MonkeyPatch, others: str):
+    monkeypatch.setenv("TERM", "xterm-256color")
+    screen = Terminal()
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, screen)
+    console = Console()
+    with console.watch("tiny on cpu", ["generate"]):
+        console.view.live.auto_refresh = False  # type: ignore[union-attr]
+        getattr(sys, others).write("a library\nwarns")
+        console.note("one more")
+    assert getattr(sys, others) is screen
+    assert screen.lines() == ["a library", "one more", "warns", "tiny on cpu", "· generate   -:--:--", ""]
+
+
+def test_an_answer_in_a_pipe_stays_there_while_the_view_is_up(monkeypatch: pytest.MonkeyPatch, capsys):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    console = Console()
+    with console.watch("tiny on cpu", ["generate"]):
+        console.out("the answer")
+    assert capsys.readouterr().out == "the answer\n"
 
 
 def test_stopping_reaches_the_bars_of_the_view(monkeypatch: pytest.MonkeyPatch):

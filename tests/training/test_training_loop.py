@@ -65,6 +65,14 @@ def test_interrupted_training_ends_where_an_uninterrupted_one_does(config, tmp_p
     assert same(state(resumed), state(whole))
 
 
+def test_a_training_that_had_ended_says_so_and_trains_nothing(tmp_path):
+    first, again, progress = task(SMALL[0], checkpoint_every=1), task(SMALL[0], checkpoint_every=1), Silent()
+    metrics = training_loop.fit(first, tmp_path, Silent())
+    assert training_loop.fit(again, tmp_path, progress) == metrics and progress.calls == 0
+    assert progress.notes[0].endswith(": all 6 epochs were done before")
+    assert same(state(again), state(first))
+
+
 def test_same_seed_same_bits_and_another_seed_others(tmp_path):
     runs = [task(SMALL[0]), task(SMALL[0]), replace(task(SMALL[0]), seed=12)]
     for k, run in enumerate(runs):

@@ -74,7 +74,7 @@ class Step:
     question: Question | None
     artifact: Artifact | None
     reason: str
-    seconds: float = 0.0  # nothing has run
+    seconds: float | None = None  # that it took the last time, where that is known: now nothing has run
 
     @property
     def key(self) -> str | None:
@@ -156,7 +156,7 @@ class Resolver(ABC):
             running = (source for source in sources if source.question and not source.artifact)
             causes += [f"{source.node.name} runs first ({source.reason})" for source in running]
             steps[node.name] = Step(node, None, None, f"stale: {sentence(causes)}" if older else NEVER)
-        return list(steps.values())
+        return [replace(step, seconds=self._last_time(step)) for step in steps.values()]
 
     def step(self, node: Node, question: Question) -> Step:
         """The step of a node whose inputs are all there."""
@@ -170,6 +170,13 @@ class Resolver(ABC):
                     return Step(node, question, borrowed, f"of another machine: {why}; npred {node.stage} runs it here")
         why = UP_TO_DATE if artifact else reason(question, self.name, self._artifacts)
         return Step(node, question, artifact, why)
+
+    def _last_time(self, step: Step) -> float | None:
+        """How long the result of a step took, or where it has none the most recent one like it; None if unknown."""
+        if step.artifact:
+            return step.artifact.seconds
+        of_such = (a for a in reversed(self._artifacts) if alike(a, step.node.stage, step.node.model, self.name))
+        return next((artifact.seconds for artifact in of_such if artifact.seconds is not None), None)
 
     def misses(self, step: Step) -> bool:
         """True if the store cannot have a result for a step, whatever comes of inputs that still have to be made."""

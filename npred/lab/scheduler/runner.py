@@ -101,6 +101,7 @@ class Task:
             forced = node.stage in planner.forced and not holders
             if not forced and (artifact := store.get(node.stage, key)):
                 return artifact.verify(), "hit", f"made meanwhile by {holders[0] if holders else 'another process'}"
+            start = time.perf_counter()
             console.note(f"{node.title}: running ({self.reason})")
             console.doing(node.title, "importing and compiling")
             scratch = store.scratch(node.stage, key)
@@ -115,7 +116,8 @@ class Task:
                     raise
                 text = json.dumps(result.json_object(), indent=1, allow_nan=False)
                 (folder / RESULT).write_text(text + "\n", encoding="utf-8")
-                artifact = store.commit(folder, self.question, planner.name, planner.device)
+                seconds = time.perf_counter() - start
+                artifact = store.commit(folder, self.question, planner.name, planner.device, seconds)
             store.discard(scratch)
             return artifact, "run", self.reason
 

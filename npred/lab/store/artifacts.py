@@ -1,5 +1,6 @@
 """The content-addressed store: a result is written aside, made durable, renamed into place, and never changed."""
 
+import math
 import re
 import shutil
 import time
@@ -17,7 +18,7 @@ from npred.base.defaults import RESULT
 from npred.base.errors import ConfigError, StoreError, disk_is_full, similar
 from npred.base.registry import NETWORKS, STAGES
 from npred.lab.store import claims
-from npred.lab.store.manifest import MADE, NAME, Manifest, Question, cure, short
+from npred.lab.store.manifest import MADE, NAME, SECONDS, Manifest, Question, cure, short
 
 MARKER = ".npred-store"  # an empty file: without it nothing in a folder is npred's to delete
 _LEFT = (".tmp", ".scratch")
@@ -54,6 +55,15 @@ class Artifact:
         except (ValueError, OverflowError):
             return written
         return written if recorded > time.time() else recorded
+
+    @property
+    def seconds(self) -> float | None:
+        """How long the run took that ended with it, in s; None where the manifest has no such number."""
+        try:
+            seconds = float(self.manifest.provenance.get(SECONDS) or "nan")
+        except ValueError:
+            return None
+        return seconds if 0 <= seconds < math.inf else None
 
     @property
     def size(self) -> int:
@@ -126,9 +136,14 @@ class Store:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def commit(self, draft: Path, question: Question, pipeline: str, device: str = "cpu") -> Artifact:
-        """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun)."""
-        manifest = Manifest.describe(question, pipeline, draft, device)
+    def commit(
+        self, draft: Path, question: Question, pipeline: str, device: str = "cpu", seconds: float | None = None
+    ) -> Artifact:
+        """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun).
+
+        `seconds`: how long its run took.
+        """
+        manifest = Manifest.describe(question, pipeline, draft, device, seconds)
         (draft / NAME).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for path in [*draft.rglob("*"), draft]:
             json_files.sync(path)

@@ -22,7 +22,7 @@ from npred.base.errors import StoreError
 from npred.kernels import compiler
 
 NAME = "manifest.json"
-MADE = "made"  # in the provenance: when
+MADE, SECONDS = "made", "seconds"  # in the provenance: when, and how long the run took that ended with it
 SHORT = 12  # digits of a key, enough for people
 PARTIAL = ".nfs"  # how NFS calls a file that was removed while somebody had it open
 _ENCODER = json.JSONEncoder(
@@ -126,11 +126,14 @@ class Manifest(ManifestPart):
     checksum: Digest
 
     @classmethod
-    def describe(cls, question: Question, pipeline: str, folder: Path, device: str = "cpu") -> Self:
+    def describe(
+        cls, question: Question, pipeline: str, folder: Path, device: str = "cpu", seconds: float | None = None
+    ) -> Self:
         """The manifest of the files in a folder, subfolders included, made now, on this machine and this device."""
         sizes = sorted(_files(folder))
         files = {name: {"sha256": json_files.sha256(folder / name), "size": size} for name, size in sizes}
         origin = {MADE: datetime.now(UTC).isoformat(), "python": platform.python_version()}
+        origin |= {} if seconds is None else {SECONDS: f"{seconds:.3f}"}
         origin |= {"platform": platform.platform()} | versions() | arithmetic(device)
         fields = {
             "key": question.key,
@@ -159,7 +162,7 @@ class Manifest(ManifestPart):
     @property
     def circumstances(self) -> dict[str, str | None]:
         """All that the numbers may depend on beyond the question: versions, processor, modes of the libraries."""
-        return {name: value for name, value in self.provenance.items() if name != MADE}
+        return {name: value for name, value in self.provenance.items() if name not in (MADE, SECONDS)}
 
     def verify(self, folder: Path) -> None:
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""

@@ -190,7 +190,7 @@ class Console:
 
         self.view = LiveView(heading, titles, self.clock)
         try:
-            with self.view:
+            with interruption.below(self.view), self.view:
                 yield
         finally:
             self.view = None

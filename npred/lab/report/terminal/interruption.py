@@ -25,6 +25,7 @@ _wakeup: list[socket.socket] = []  # what the interpreter writes the number of e
 _received: list[int] = []
 _said: list[str] = []
 _saying = _thread.allocate_lock()
+_views: list[object] = []  # on the screen: the cursor stands at the end of their last row
 _graceful: list[str] = []  # what is said of the work that is asked to end
 
 
@@ -74,6 +75,16 @@ def graceful(line: str = LINE) -> Iterator[None]:
             _graceful.pop()
 
 
+@contextmanager
+def below(view: object) -> Iterator[None]:
+    """What is said of a signal in the block begins a new line, below the last row of a live view."""
+    _views.append(view)
+    try:
+        yield
+    finally:
+        _views.remove(view)
+
+
 def code() -> int:
     """130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
     return 128 + (_received[0] if _received else signal.SIGINT)
@@ -121,7 +132,7 @@ def _leave() -> None:
         if sys.stderr and sys.stderr.isatty():
             os.write(2, SHOW_CURSOR)
         if not said:
-            os.write(2, f"error: {_line()}\n".encode())
+            os.write(2, (("\n" if _views else "") + f"error: {_line()}\n").encode())
     if util := sys.modules.get("multiprocessing.util"):
         _bounded(lambda: util._run_finalizers(0))  # or the process that watches semaphores says that they are left
     os._exit(code())

@@ -7,22 +7,29 @@ import math
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import StringIO
-from typing import Any
+from typing import Any, Literal
 
 from rich.console import Console as RichConsole
-from rich.console import RenderableType
-from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.console import ConsoleOptions, RenderableType, RenderResult
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column
 from rich.text import Text
 
 from npred.base.json_files import escaped
 from npred.lab.report.terminal.console import Console
-from npred.lab.report.terminal.streams import MESSAGES, printable
+from npred.lab.report.terminal.streams import MESSAGES, is_terminal, printable
 
 MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
 SECONDS = 0.5  # between two updates in a notebook
 WIDTH = 110  # columns there
+ECHO = (
+    4  # columns left free at its right: the ^C that a terminal shows must not begin a line that the view does not know
+)
+BAR = 24  # columns of a bar
+BESIDE = 90  # columns that a training's name, words and times take: on a narrow screen the bar gives way first
 FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
 
 
@@ -34,17 +41,46 @@ class RunningBar(BarColumn):
         return super().render(task) if task.total else Text("")
 
 
+class Words(ProgressColumn):
+    """The description of a stage, or what it does: of all columns these are cut where the screen is narrow."""
+
+    def __init__(self, what: Literal["description", "doing"]) -> None:
+        super().__init__(Column())  # one that may wrap is made narrower, unlike the times
+        self.what = what
+
+    def render(self, task: Task) -> Text:
+        """The words on one line."""
+        words = task.description if self.what == "description" else task.fields["doing"]
+        return Text(words, no_wrap=True, overflow="ellipsis")
+
+
+@dataclass
+class Narrower:
+    """Rows that leave ECHO columns free."""
+
+    rows: RenderableType
+
+    def __rich_console__(self, console: RichConsole, options: ConsoleOptions) -> RenderResult:
+        """The rows."""
+        yield from console.render(self.rows, options.update_width(options.max_width - ECHO))
+
+
 class LiveView(Progress):
     """A table of the stages that rewrites itself; safe to call from several threads."""
 
-    def __init__(self, heading: str, titles: Sequence[str], clock: Callable[[], float]) -> None:
+    def __init__(
+        self, heading: str, titles: Sequence[str], clock: Callable[[], float], width: int | None = None
+    ) -> None:
         self.heading, self.stages, self.adding = heading, dict[str, Task](), threading.Lock()
-        mark, doing = TextColumn("{task.fields[mark]}"), TextColumn("{task.fields[doing]}", markup=False)
-        name, running = TextColumn("{task.description}", markup=False), RunningBar(bar_width=24)
-        columns = [mark, name, running, doing, TimeElapsedColumn(), TimeRemainingColumn()]
+        console = RichConsole(file=MESSAGES, width=width)
+        bar = RunningBar(bar_width=min(BAR, max(4, console.width - BESIDE)))
+        columns = [TextColumn("{task.fields[mark]}"), Words("description"), bar, Words("doing")]
+        times = [kind(table_column=Column(min_width=7)) for kind in (TimeElapsedColumn, TimeRemainingColumn)]
+        # What others write, a library's warning say, would move the rows that the view is about to erase: it goes above
+        # them. Not so stdout where that is another file.
         super().__init__(
-            *columns, console=RichConsole(file=MESSAGES), get_time=clock, speed_estimate_period=math.inf,
-            redirect_stdout=False, redirect_stderr=False,
+            *columns, *times, console=console, get_time=clock,
+            speed_estimate_period=math.inf, redirect_stdout=is_terminal(sys.stdout), redirect_stderr=True,
         )  # fmt: skip
         for title in titles:
             self._task(title)
@@ -81,6 +117,9 @@ class LiveView(Progress):
     def stop(self) -> None:
         """The end: the last state stays on the screen."""
         self.end()
+        for stream in (sys.stdout, sys.stderr):  # a line of others that has not ended
+            with suppress(OSError, ValueError, AttributeError):  # closed
+                stream.flush()
         super().stop()
 
     def end(self) -> None:
@@ -92,8 +131,8 @@ class LiveView(Progress):
     def get_renderables(self) -> Iterable[RenderableType]:
         """The heading and the table."""
         if self.heading:
-            yield Text(escaped(self.heading), "bold")
-        yield self.make_tasks_table(self.tasks)
+            yield Text(escaped(self.heading), "bold", no_wrap=True, overflow="ellipsis")
+        yield Narrower(self.make_tasks_table(self.tasks))
 
     def _task(self, title: str) -> Task:
         with self.adding:  # not rich's lock, which drawing takes: adding a task draws
@@ -127,7 +166,7 @@ class NotebookConsole(Console):
         """A live view of these stages while the block runs, its last state after it."""
         from IPython.display import display  # pyright: ignore[reportMissingImports]
 
-        view = self.view = LiveView(heading, titles, self.clock)
+        view = self.view = LiveView(heading, titles, self.clock, WIDTH)
         output: Any = display(_bundle(view), raw=True, display_id=True)
         over = threading.Event()
 

@@ -92,31 +92,39 @@ def prepare() -> None:
 
 
 class Messages:
-    """stderr as rich and `Console` write to it: one that is closed or full loses words, and no work."""
+    """stderr as rich and `Console` write to it: one that is closed or full loses words, and no work.
+
+    While a live view is up, what others write to sys.stderr goes to the view, which writes here: to stderr itself.
+    """
+
+    @property
+    def stream(self) -> TextIO:
+        """stderr itself."""
+        return getattr(sys.stderr, "rich_proxied_file", sys.stderr)
 
     @property
     def encoding(self) -> str:
         """That of stderr."""
-        return getattr(sys.stderr, "encoding", None) or "utf-8"
+        return getattr(self.stream, "encoding", None) or "utf-8"
 
     def write(self, text: str) -> int:
         """Write as much of the text as can be written."""
         try:
-            sys.stderr.write(text)
+            self.stream.write(text)
         except (OSError, ValueError):
-            silence(sys.stderr)
+            silence(self.stream)
         return len(text)
 
     def flush(self) -> None:
         """Flush, where that is possible."""
         try:
-            sys.stderr.flush()
+            self.stream.flush()
         except (OSError, ValueError):
-            silence(sys.stderr)
+            silence(self.stream)
 
     def isatty(self) -> bool:
         """True if it is a screen."""
-        return is_terminal(sys.stderr)
+        return is_terminal(self.stream)
 
 
 MESSAGES = cast(TextIO, Messages())
