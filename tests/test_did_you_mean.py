@@ -162,4 +162,4 @@ def test_no_message_lists_names_without_it():
 
 def test_a_name_far_from_all_is_answered_with_what_to_do():
     assert unlisted("form", "zip", ["c", "fmu"]) == "form: expected one of c, fmu, got 'zip'; name one of them"
-    assert unlisted("free", "a", []) == "free: expected one of none: there is none, got 'a'; leave it out"
+    assert unlisted("free", "a", []) == "free: expected no name, for there is none to choose, got 'a'; leave it out"

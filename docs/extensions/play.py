@@ -95,7 +95,8 @@ def source(scene: Scene) -> str:
         "ADVANCE": advance.name,
     }  # fmt: skip
     defined = [f"#define {name} {value}" for name, value in macros.items()]
-    parts = [exported.replace('#include "npred.h"', header), *advance.texts, skeleton("sensor_errors.h"), *defined]
+    engine = map(skeleton, ("hold.h", "sensor_errors.h"))
+    parts = [exported.replace('#include "npred.h"', header), *advance.texts, *engine, *defined]
     return "\n".join([*parts, LOOP.read_text(encoding="utf-8")])
 
 

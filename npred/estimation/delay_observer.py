@@ -21,7 +21,7 @@ Of the paper's plant with bounds of 0.1 to 4 s it is 1 s.
 
 A controller that estimates its state from outputs with an observer that is driven by commands late by D_hat has an X
 that confirms D_hat. There candidates are judged by the samples Y of the outputs, in
-npred/kernels/c/observe_outputs.h: each has its own state and offset,
+npred/kernels/c/observe_outputs.h: each with a state and an offset,
     x' = f(x, U(t - θ) + d),   x <- x + K_x (Y - y(x)),   d <- d + K_d (Y - y(x)),
 with the gain K of one extended Kalman filter along the best candidate. Its variances scale Y - y(x), so that
 differences of the sums are differences of log likelihoods [Magill, IEEE TAC 10 (1965) 434]. They are compared with what

@@ -639,7 +639,7 @@ class Controller(InNotebook):
 
     def _refusal(self, code: int, came: bool, age: float, booked: bool) -> str:
         """Why a step, with a sample of that age if one came, gives no U to send, and the cure, in words."""
-        time, seen = self.plant.time_text, self.memory.D_seen.max()
+        time, longest = self.plant.time_text, self.memory.D_seen.max()
         sample = "none" if not came else "one that is not newer than the last"
         if came and age > self._oldest:
             sample = f"one that is {time(age * self.dt)} old, more than max_sample_age = {time(self._oldest * self.dt)}"
@@ -647,7 +647,7 @@ class Controller(InNotebook):
             engine.MEASUREMENT: f"expected finite {'X' if self._reads_commands else 'X and u'}, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
             engine.TOO_LONG: f"expected a delay of at most {time(self.reach)}, the length of the history, got "
-            f"{seen:g}; raise history_length",
+            f"{longest:g}; raise history_length",
             engine.UNKNOWN: f"expected a sample of X, for nothing tells the state, got {sample}",
         }[code]
         sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""

@@ -157,7 +157,7 @@ def test_status_says_stale_once(call: Call):
     call("run", "tiny.toml")
     lines = call("status", "tiny.toml", "--set", "train.deeponet.epochs=40").stdout.splitlines()
     (late,) = (line for line in lines if line.startswith("evaluate"))
-    assert late.split()[2:4] == ["stale", "upstream"]
+    assert late.split()[2:4] == ["stale", "deeponet"]
 
 
 def test_status_and_its_gate(call: Call):

@@ -208,7 +208,7 @@ class Everything:
             0.1 * M.atan2(x.h, 2 + M.cosh(x.v)) + 0.05 * M.asin(M.clip(x.v, -0.9, 0.9)) - 0.05 * M.acos(0.3 * x.h / 2)
         )
         table = 0.1 * M.interp(x.h, POINTS, VALUES, "cubic") + 0.02 * M.interp(x.v, POINTS, VALUES)
-        return [x.v, u.q - p.c * x.v - M.atan(x.h) + bend + table + 0.03 * M.mod(x.v, 2.0)]
+        return [x.v, u.q - p.c * x.v - M.atan(x.h) + bend + table + 0.03 * M.mod(x.v + 0.5, 2.0)]
 
     def kappa(x, t, p, M):
         near = M.logical_and(M.logical_not(x.h > 0.5), M.logical_or(x.h > -0.5, x.v < 9.0))

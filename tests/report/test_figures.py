@@ -415,7 +415,11 @@ def test_scenarios_have_a_mark_for_what_is_finite_and_positive():
     rows = [("noise", does, does), ("jump", does, wild)]
     conditions = [Conditions.of({"name": name, "models": {"numerical": a, "fno": b}}, "t") for name, a, b in rows]
     figure = figures.scenarios(plants.resolve("scalar"), conditions)
-    assert figure is not None and "Loops that diverge: numerical 2, FNO 4." in figure.caption
+    assert (
+        figure is not None
+        and "Loops that overflow, or end farther from rest than a fifth of its size: numerical 2, FNO 4."
+        in figure.caption
+    )
     assert figure.panels[0].alt == "noise: numerical 0.2, FNO 0.2; jump: numerical 0.2, FNO ∞."
     axis = Canvas().add_subplot()
     for panel in figure.panels:

@@ -64,7 +64,7 @@ def test_the_default_pipeline_fits_but_for_the_start_that_it_has_to_give():
     [
         ({"generate": {"box": {"x3": [0, 1]}}}, "generate.box: expected one of x1, x2, got 'x3'"),
         ({"evaluate": {"X0": [1.0]}}, r"evaluate.X0: expected one number per state \(x1, x2\), got \[1.0\]"),
-        ({"evaluate": {"X0": [float("nan"), 1.0]}}, "evaluate.X0: expected finite values"),
+        ({"evaluate": {"X0": [float("nan"), 1.0]}}, r"evaluate.X0\[0\]: expected a finite number"),
         (
             {"generate": {"input_bounds": [[0, 1], [0, 1]]}},
             r"generate.input_bounds: expected a pair \(low, high\) for each of U, .*; give 1",
