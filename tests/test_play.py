@@ -57,7 +57,8 @@ def _simulated(scene: Any, at: dict[str, float], predicts: int, start: float) ->
     loop = npred.simulate(
         plant, npred.predictor(plant, "rk4", scene.nx), D=at["D"], D_hat=at["D_hat"] if predicts else 0.0,
         X0=start * np.array(scene.X0), t_end=scene.t_end, dt=scene.dt, every=scene.every, adaptation=law,
-        input_bounds=limits.reshape(plant.m, 2), measurement=npred.Measurement(relative_noise=at["noise"]), u0=plant.m * [0.0],
+        input_bounds=limits.reshape(plant.m, 2), u0=plant.m * [0.0],
+        measurement=npred.Measurement(relative_noise=at["noise"]),
     )  # fmt: skip
     return np.concatenate([loop.X, loop.U, loop.D_hat[:, None]], axis=1)
 
