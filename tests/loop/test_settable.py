@@ -204,11 +204,11 @@ def test_a_network_keeps_what_it_was_trained_with_and_a_model_does_not():
     assert one.fixed == dict.fromkeys(sorted(one.fixed), "the network was trained with it")
     assert {"K1", "Ka"} <= one.fixed.keys() and not {"x1_set", "x2_set"} & one.fixed.keys()
     cart = npred.plant(Loaded)
-    one = npred.controller(cart, npred.predictor(cart, "rk4", 11), None, 0.01, D_hat=0.3, actuator="history")
+    one = npred.controller(cart, npred.predictor(cart, "rk4", 11), None, 0.01, D_hat=0.3, u0=[0.0])
     assert one.fixed == {"unused": "nothing reads it"}
     one.set(load=2.0, aim=0.3)
     other = npred.plant(Loaded, load=2.0, aim=0.3)
-    fresh = npred.controller(other, npred.predictor(other, "rk4", 11), None, 0.01, D_hat=0.3, actuator="history")
+    fresh = npred.controller(other, npred.predictor(other, "rk4", 11), None, 0.01, D_hat=0.3, u0=[0.0])
     assert one.step([0.1, 0.2]) == fresh.step([0.1, 0.2]) and one.step([0.1, 0.2]) == fresh.step([0.1, 0.2])
 
 

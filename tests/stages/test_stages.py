@@ -286,6 +286,7 @@ def still(t, X):
         X,
         np.full(len(X), -1),
         np.zeros(len(X)),
+        np.zeros(len(X)),
         X[:, 0],
         zeros > 0,
         np.zeros(len(X)),
