@@ -23,7 +23,7 @@ from npred.plants import Plant
 
 QUESTIONS = [
     *("trace", "smooth law", "box", "finite", "delay", "equilibrium", "stability", "V", "input bounds", "convergence"),
-    *("prediction", "delay margin", "disturbance", "stiffness", "completeness"),
+    *("prediction", "delay margin", "disturbance", "PI", "stiffness", "completeness"),
 ]
 
 
@@ -507,7 +507,7 @@ class Tank:
         call = CliRunner().invoke(app, arguments)
         return next(a["verdict"] for a in json.loads(call.stdout)["answers"] if a["check"] == "completeness")
 
-    assert (complete(), complete("--u0", "equilibrium"), complete("--u0", "[0.4]")) == ("no", "yes", "yes")
+    assert (complete("--u0", "[0]"), complete(), complete("--u0", "[0.4]")) == ("no", "yes", "yes")
     wrong = CliRunner().invoke(app, ["plants", "check", "scalar", "--u0", "equilibrum"])
     assert wrong.exit_code == 2 and "error: --u0: " in wrong.output and "did you mean equilibrium?" in wrong.output
 
