@@ -417,7 +417,7 @@ def test_fmpy_finds_it_valid(instance, make, version):
 def test_fmpy_simulates_it_from_its_first_values(tmp_path, version):
     path, _ = exported(heun(), tmp_path, version, X0, t_end=0.5)
     result = fmpy.simulate_fmu(str(path), output=["U", "D_hat"])
-    expected, u = heun(), np.zeros((21, 1))
+    expected, u = heun(), np.full((21, 1), PLANT.u_equilibrium)  # the first values of u: the input at rest
     U = [expected.step(X0, u)[0] for _ in range(50)]
     assert result["U"][0] == PLANT.u_equilibrium  # u0: the command before the first control step
     np.testing.assert_allclose(result["U"][1:51], U, rtol=1e-12)
