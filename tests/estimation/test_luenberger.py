@@ -235,3 +235,17 @@ def test_its_defaults_do_not_depend_on_units(kind):
             found.append(memory[:3] / sizes)
     np.testing.assert_allclose(found[12:], found[:12], rtol=1e-6, atol=1e-8)
     assert np.ptp(found, axis=0).min() > 0.01
+
+
+def test_the_filter_beside_it_has_its_outputs_also_where_they_are_some_of_the_plants():
+    class Two:
+        states, inputs, outputs = ("x", "v"), ("u",), ("place", "pace")
+        box = {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
+        f = lambda x, u, t, p, M: [x.v, u.u - x.x - x.v]
+        kappa = lambda x, t, p, M: [-x.v]
+        output = lambda x, t, p, M: [x.x, x.v]
+
+    plant = npred.plant(Two)
+    for outputs in (None, ("place",), ("x",), ("place", "v")):
+        one = npred.observers.Luenberger(plant, outputs=outputs)
+        assert one.filter.outputs == one.outputs

@@ -72,7 +72,7 @@ class Luenberger(Observer):
 
     @cached_property
     def filter(self) -> EKF:
-        return EKF(self.plant, offset=self.offset, X0=self.X0, outputs=self.outputs if self._selects else None)
+        return EKF(self.plant, offset=self.offset, X0=self.X0, outputs=self.outputs)
 
     def start(self) -> np.ndarray:
         w = self.measured(self.X0)
