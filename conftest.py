@@ -29,7 +29,7 @@ OWN_SETTINGS = ("NPRED_STORE", "NPRED_PIPELINE", "NPRED_EXECUTOR", "NPRED_QUIET"
 ROOT = Path(__file__).parent
 HERE = ROOT / "tests"
 # How long a draw takes says what else the machine does, not what the code does.
-settings.register_profile("npred", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("npred", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("npred")
 TANK = """
 class Tank:
@@ -76,6 +76,7 @@ def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in OWN_SETTINGS:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("npred.base.progress.PATIENCE", 1e6)  # what takes long differs from machine to machine
+    monkeypatch.setattr("npred.base.progress._said", set())  # a line is said once by a process
 
 
 @pytest.fixture

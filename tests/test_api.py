@@ -39,7 +39,7 @@ def test_a_loop_from_the_public_names():
     np.testing.assert_array_equal(P[0], [0.03, 30.0])
     adaptation = npred.DelayAdaptation(gamma=1000.0, b=1.0, bounds=(0.1, 4.0))
     loop = npred.simulate(plant, predictor, D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=1.0, dt=0.005,
-                          adaptation=adaptation, input_bounds=None)  # fmt: skip
+                          adaptation=adaptation, input_bounds=None, u0=0.0)  # fmt: skip
     assert (loop.t.shape, loop.X.shape, loop.U.shape, loop.D_hat.shape) == ((201,), (201, 2), (201, 1), (201,))
     np.testing.assert_allclose(loop.X[-1], P[-1], rtol=1e-6)  # U = 0 until t = D: the predictor at D_hat = D
 

@@ -16,7 +16,7 @@ from npred.plants.base import Plant
 
 DIFFERENCE = 1e-6  # half the width of a difference, relative to the box
 LONG = 8.0  # time constants of the slowest rate that are looked at
-MOMENTS = 100  # of them, at most
+MOMENTS = 100  # of the first, and of all, at most
 SHORT = 1e-2  # a step, times the fastest rate, over which the loss is proportional to the step
 
 
@@ -61,13 +61,14 @@ def loss(plant: Plant, dt: float) -> float:
     if np.abs(np.linalg.eigvals(held)).max() >= 1:
         return np.inf
     steps = max(int(LONG / -rates.max() / dt), 1)
-    each = -(-steps // MOMENTS)
-    powers = [np.linalg.matrix_power(one, each) for one in (held, ideal)]
-    differences, sizes, now = [], [np.ones(len(A))], [np.eye(len(A)), np.eye(len(A))]
-    for _ in range(steps // each):
-        now = [power @ one for power, one in zip(powers, now, strict=True)]
-        differences.append(np.abs(now[0] - now[1]).sum(axis=1))
-        sizes.append(np.abs(now[1]).sum(axis=1))
+    differences, sizes = [], [np.ones(len(A))]
+    for each in {1, -(-steps // MOMENTS) | 1}:  # odd: a state that changes its sign with each step is seen at both
+        powers = [np.linalg.matrix_power(one, each) for one in (held, ideal)]
+        now = [np.eye(len(A)), np.eye(len(A))]
+        for _ in range(min(steps // each, MOMENTS)):
+            now = [power @ one for power, one in zip(powers, now, strict=True)]
+            differences.append(np.abs(now[0] - now[1]).sum(axis=1))
+            sizes.append(np.abs(now[1]).sum(axis=1))
     return float((np.max(differences, axis=0) / np.max(sizes, axis=0)).max())
 
 

@@ -38,7 +38,7 @@ def test_its_plants_are_those_of_the_filters(adversary, cases, name):
 
 @pytest.mark.parametrize("name", ["cart", "arm"])
 def test_its_integration_is_that_of_the_loop(adversary, cases, name):
-    case, system, rng = dataclasses.replace(cases[name], dt=0.005), adversary.SYSTEMS[name], np.random.default_rng(1)
+    case, system, rng = dataclasses.replace(cases[name], dt=0.0025), adversary.SYSTEMS[name], np.random.default_rng(1)
     low, high = np.array(system.before).T
     X0, before = states(case.plant, rng), rng.uniform(low, high, (adversary.PIECES, case.plant.m))
     delay = case.D + case.dt

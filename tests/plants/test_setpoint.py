@@ -201,7 +201,7 @@ def test_beyond_state_bounds_it_is_refused_and_beyond_safe_it_is_said(tmp_path, 
     path, written = exported(one, tmp_path)
     in_fmu = InFmu(path, tmp_path / "fmu", written, one.dt)
     capsys.readouterr()
-    for aim, code, said in ((1.8, 6, "aim = 1.8: expected a rest where safe is at least 0, got -0.3"), (1.2, 0, "")):
+    for aim, code, said in ((1.8, 7, "aim = 1.8: expected a rest where safe is at least 0, got -0.3"), (1.2, 0, "")):
         one.set(aim=aim)
         assert said in (line := capsys.readouterr().err) and bool(line) == bool(said)
         assert in_c.library.npred_set_aim(in_c.memory, aim) == code
