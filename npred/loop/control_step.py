@@ -31,7 +31,6 @@ LOSS = 0.01  # what the law may lose by the default
 PER_RATE = 0.05  # dt times the fastest rate: the plant is integrated by a step of RK4 per dt
 LONG = 0.1  # a law that loses more than this is said to
 CURED = 0.02  # what it loses with the step that is advised
-SHORT = 0.02  # dt times the fastest rate, below which it does not
 FEW = 10  # control steps in a delay that is estimated, below which the estimate suffers
 
 
@@ -53,8 +52,8 @@ def usual(D: ArrayLike, plant: Plant | None = None, integrates: bool = False) ->
 
     Of a plant: 1 / 80 of the shortest delay above 0, at most 0.05 / its fastest rate, and such that the law loses 1 %
     at most. Without one, as while a pipeline is read, and where a delay law integrates a rate of D_hat, 1 / 300 of that
-    delay. To the nearest of 1, 2 and 5 times a power of ten, so that it has one digit: 0.01 for a plant of npred with a
-    delay of 1, 0.005 in a pipeline.
+    delay. To the nearest of 1, 2 and 5 times a power of ten, so that it has one digit: with a delay of 1 it is 0.01 for
+    `scalar`, 0.005 for the paper's plant and in a pipeline.
     """
     limit = _shortest(D) / (MANY if integrates or plant is None else PER_DELAY)
     if plant is not None:
@@ -73,12 +72,12 @@ def check(name: str, dt: float, D: ArrayLike) -> None:
 def doubt(name: str, dt: float, D: ArrayLike, plant: Plant, estimated: bool) -> str:
     """The sentence about a control step that is long for the law, or for a delay that is estimated; else none."""
     texts, shortest = [], _shortest(D)
-    if dt * hold.fastest(plant) >= SHORT and (lost := hold.loss(plant, dt)) > LONG:
+    if (lost := hold.loss(plant, dt)) > LONG:
         ends = "states near rest do not settle"
         if lost < np.inf:
             ends = f"states near rest differ by {lost:.0%} from those of kappa in continuous time"
-        cure = f"take {simple(CURED / hold.per_time(plant)):g} or less, unless kappa is designed for held commands"
-        texts.append(f"with U held so long, {ends}; {cure}")
+        shorter = f"take {simple(CURED / per):g} or less" if (per := hold.per_time(plant)) > 0 else "take a shorter one"
+        texts.append(f"with U held so long, {ends}; {shorter}, unless kappa is designed for held commands")
     if estimated and shortest < FEW * dt * (1 - 1e-9):
         what = f"a delay of {shortest / dt:.3g} control steps is estimated to some percent only"
         texts.append(f"{what}; take D / {FEW} or less, {shortest / FEW:.3g}")

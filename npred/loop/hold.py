@@ -46,44 +46,46 @@ def loss(plant: Plant, dt: float) -> float:
     """How far small states of the loop with U held over dt are from those of the law in continuous time.
 
     The largest difference of a state from the box at a control step, over the largest distance of that state. Infinite
-    where the held law does not bring small states to rest; 0 where nothing is known, as where the law itself does not.
+    where the held law does not bring small states to rest; 0 where nothing is known, as where the law itself does not
+    bring them there. A mode that the law in continuous time leaves where it is, as a conserved quantity, is left there
+    by the held one too.
     """
     matrices = linearised(plant)
     if matrices is None:
         return 0.0
     A, B, K = matrices
-    rates = np.linalg.eigvals(A + B @ K).real
-    if not rates.max() < 0:
+    rates = np.linalg.eigvals(A + B @ K)
+    none = speed.NONE * np.abs(rates).max()
+    moving = rates.real[np.abs(rates) > none]
+    if not moving.size or moving.max() > -none:
         return 0.0
     m = B.shape[1]
     step = exponential(dt * np.block([[A, B], [np.zeros((m, len(A) + m))]]))[: len(A)]
     held, ideal = step[:, : len(A)] + step[:, len(A) :] @ K, exponential(dt * (A + B @ K))
-    if np.abs(np.linalg.eigvals(held)).max() >= 1:
+    growths = np.linalg.eigvals(held)
+    if (np.abs(growths[np.abs(growths - 1) > none * dt]) >= 1).any():
         return np.inf
-    steps = max(int(LONG / -rates.max() / dt), 1)
-    differences, sizes = [], [np.ones(len(A))]
+    steps = max(int(LONG / -moving.max() / dt), 1)
+    differences, sizes = np.zeros(len(A)), np.ones(len(A))
     for each in {1, -(-steps // MOMENTS) | 1}:  # odd: a state that changes its sign with each step is seen at both
-        powers = [np.linalg.matrix_power(one, each) for one in (held, ideal)]
-        now = [np.eye(len(A)), np.eye(len(A))]
-        for _ in range(min(steps // each, MOMENTS)):
-            now = [power @ one for power, one in zip(powers, now, strict=True)]
-            differences.append(np.abs(now[0] - now[1]).sum(axis=1))
-            sizes.append(np.abs(now[1]).sum(axis=1))
-    return float((np.max(differences, axis=0) / np.max(sizes, axis=0)).max())
+        count = min(steps // each, MOMENTS)
+        of_held, of_ideal = (_powers(np.linalg.matrix_power(one, each), count) for one in (held, ideal))
+        differences = np.maximum(differences, np.abs(of_held - of_ideal).sum(axis=2).max(axis=0))
+        sizes = np.maximum(sizes, np.abs(of_ideal).sum(axis=2).max(axis=0))
+    return float((differences / sizes).max())
+
+
+def _powers(one: np.ndarray, count: int) -> np.ndarray:
+    """The powers 1 to `count` of a matrix, (count, n, n)."""
+    powers = one[None]
+    while len(powers) < count:
+        powers = np.concatenate([powers, powers @ powers[-1]])
+    return powers[:count]
 
 
 @cache
 def per_time(plant: Plant) -> float:
-    """The loss of a short step, over the step, in 1 / time; 0 where it is not known."""
-    dt = SHORT / pace if (pace := fastest(plant)) > 0 else 0.0
-    return loss(plant, dt) / dt if dt > 0 else 0.0
-
-
-@cache
-def fastest(plant: Plant) -> float:
-    """The largest rate of the plant and of the law's loop, in 1 / time; 0 where it is not known."""
-    matrices = linearised(plant)
-    if matrices is None:
-        return 0.0
-    A, B, K = matrices
-    return float(np.abs(np.linalg.eigvals([A, A + B @ K])).max())
+    """The loss of a short step, over the step, in 1 / time; 0 where it is not known, or not finite."""
+    dt = SHORT / speed.rates(plant).fastest
+    lost = loss(plant, dt) / dt
+    return lost if lost < np.inf else 0.0

@@ -65,9 +65,10 @@ def test_the_loss_is_that_of_small_states(k1, k2, dt):
         assert lost == np.inf
         return
     corners, far = np.array([[1.0, 1.0], [1.0, -1.0]]).T, np.zeros((2, 2))
-    x = y = corners
+    x, ideal = corners, expm(ends * dt)
+    y = x
     for _ in range(int(hold.LONG / -np.linalg.eigvals(ends).real.max() / dt)):
-        x, y = (A_d + B_d @ K) @ x, expm(ends * dt) @ y
+        x, y = (A_d + B_d @ K) @ x, ideal @ y
         far = np.maximum(far, [np.abs(x - y).max(axis=1), np.abs(y).max(axis=1)])
     expected = (far[0] / np.maximum(far[1], 1.0)).max()
     assert lost == pytest.approx(expected, rel=0.05, abs=1e-4)
@@ -85,3 +86,26 @@ def test_the_loss_is_proportional_to_the_step_and_free_of_units():
     same = type("Slow", (Cart,), {"box": {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}})
     assert hold.loss(fast, 1e-4) == pytest.approx(hold.loss(Plant("slow", same), 0.1), rel=1e-4)
     assert hold.loss(Plant("lost", Cart, {"k1": -1.0}), 0.1) == 0.0 and control_step.usual(0.0, slow) < 1
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_mode_that_does_not_move_has_no_part_in_the_loss(seed):
+    """z' = -z + u, y' = -2 y + u and a constant, in mixed states: rounding moves the rate of the constant off 0."""
+    mixed = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    A_m, B_m, K_m = mixed @ np.diag([0.0, -1.0, -2.0]) @ mixed.T, mixed @ [0.0, 1.0, 1.0], -0.5 * mixed[:, 1]
+
+    class Mixed:
+        states, inputs = ("a", "b", "c"), ("u",)
+        box = dict.fromkeys(states, (-1.0, 1.0))
+        f = lambda x, u, t, p, M: [row @ list(x) + b * u.u for row, b in zip(A_m, B_m, strict=True)]
+        kappa = lambda x, t, p, M: [K_m @ list(x)]
+
+    plant = Plant("mixed", Mixed)
+    step = expm(0.1 * np.block([[A_m, B_m[:, None]], [np.zeros((1, 4))]]))[:3]
+    one, ideal = step[:, :3] + np.outer(step[:, 3], K_m), expm(0.1 * (A_m + np.outer(B_m, K_m)))
+    powers = [(np.linalg.matrix_power(one, k), np.linalg.matrix_power(ideal, k)) for k in range(int(hold.LONG / 0.15))]
+    far = np.max([np.abs(a - b).sum(axis=1) for a, b in powers], axis=0)
+    expected = (far / np.max([np.abs(b).sum(axis=1) for _, b in powers], axis=0)).max()
+    assert hold.loss(plant, 0.1) == pytest.approx(expected, rel=0.05)
+    assert hold.loss(plant, 0.01) == pytest.approx(0.1 * expected, rel=0.1)
+    assert control_step.usual(1.0, plant) == 0.01
