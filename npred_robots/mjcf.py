@@ -255,7 +255,9 @@ class _Engine:
 
     def _check_effects(self) -> None:
         """Raise _NotTaken for an input that moves nothing, from its one end to its other."""
-        ends = np.clip([joint.push for joint in self.joints if any(joint.push)], -1.0, 1.0)  # (m, 2)
+        low, high = np.array([joint.push for joint in self.joints if any(joint.push)]).T
+        low = np.where(np.isfinite(low), low, np.where(np.isfinite(high), high - 2.0, -1.0))
+        ends = np.stack([low, np.where(np.isfinite(high), high, low + 2.0)], axis=1)  # (m, 2)
         rows = np.repeat(ends.mean(axis=1)[None], 2 * len(ends), axis=0)
         for k, pair in enumerate(ends):
             rows[2 * k : 2 * k + 2, k] = pair

@@ -240,6 +240,21 @@ def test_an_input_that_moves_nothing_is_refused(tmp_path):
         robot(tmp_path, text)
 
 
+@pytest.mark.parametrize(
+    ("actuator", "bounds"),
+    [
+        ('<motor joint="slider" ctrlrange="2 5"/>', (2.0, 5.0)),
+        ('<motor joint="slider" ctrlrange="-9 -3"/>', (-9.0, -3.0)),
+        ('<motor joint="slider" forcerange="3 8"/>', (3.0, 8.0)),
+        ('<motor joint="slider"/>', None),
+        ('<position joint="slider" kp="10" ctrlrange="2 3"/>', (2.0, 3.0)),
+    ],
+)
+def test_an_input_with_bounds_anywhere_has_an_effect(tmp_path, actuator, bounds):
+    text = RAIL.replace('<motor joint="slider" ctrlrange="-3 3" gear="10"/>', actuator)
+    assert robot(tmp_path, text).input_bounds == (bounds and [bounds])
+
+
 def test_an_inertial_that_the_engine_refuses_comes_with_its_body(tmp_path):
     inertial = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 5"/>'
     text = RAIL.replace('<body><joint name="hinge"', f'<body name="upper">{inertial}<joint name="hinge"')
