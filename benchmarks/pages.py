@@ -9,12 +9,13 @@ the store NPRED_STORE or artifacts/. The figures of a command are the numbers wi
 paragraph, list item or table row, and in what follows before the next command or heading. Each is looked for in what
 is printed:
 
-    reprinted    a number that rounds to it, or for a timing (behind it a unit as µs, ms, min, MB, or x) within 25 %
+    reprinted    a number that rounds to it, or 100 times that number does, as of 0.012 for 1.2 %; for a timing (behind
+                 it a unit as µs, ms, min, MB, or x) one within 25 %
     differs      the nearest printed number is within a factor of 2
     not printed  none is
 
-It exits with 1 where a figure differs or a command fails. Figures of other machines may differ by right: a reader
-decides. It is run before each release.
+It exits with 1 where a figure differs, and where a command fails or takes too long. Figures of other machines may
+differ by right: a reader decides. It is run before each release.
 """
 
 import argparse
@@ -117,7 +118,7 @@ def verdict(word: str, timing: bool, printed: list[float]) -> str:
     last = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
     wanted = abs(value(word))
     near = [abs(abs(each) * scale - wanted) for each in printed for scale in (1, 100)]
-    allowed = wanted / 4 if timing else 2 * last * (1 + 1e-9)
+    allowed = wanted / 4 if timing else last / 2 + 1e-9 * wanted
     least = min(near, default=float("inf"))
     return "reprinted" if least <= allowed else "differs" if least <= wanted / 2 else "not printed"
 
@@ -169,7 +170,7 @@ def main() -> None:
                 code, text = outcomes.get(command, (0, ""))
                 said = {0: "", 3: "", 124: "  TOO LONG"}.get(code, f"  FAILED with {code}: {text.strip()[-150:]!r}")
                 print(f"{os.path.relpath(path, ROOT)}:{each.line}  {command}{said}", flush=True)
-                totals["failed"] += code not in (0, 3, 124)  # 3: an answer is no
+                totals["failed"] += code not in (0, 3)  # 3: an answer is no
                 printed += [value(number) for number in NUMBER.findall(level(text))] if code in (0, 3) else []
             sides = [(verdict(*figure, printed), figure[0]) for figure in each.figures if printed]
             totals.update(side for side, _ in sides)
