@@ -379,31 +379,40 @@ int receive(double *X, double *taken)
     X[0] = samples[call][0], X[1] = samples[call][1], *taken = samples[call][2];
     return *taken > 0;
 }
-int send(const double *U) { printf("%.17g\\n", U[0]); return call != 7; }
+int send(const double *U) { printf("%.17g\\n", U[0]); return call != 0 && call != 7; }
+void acting(double *U) { U[0] = 0.002; }
 void warn(void) { printf("warn\\n"); }
-int main(void) { begin(); for (int k = 0; k < 40; k++) { on_timer(); } }
+int main(void)
+{
+    if (begin() != NPRED_OK) {
+        return 1;
+    }
+    for (int k = 0; k < 40; k++) {
+        on_timer();
+    }
+}
 """
 
 
 def test_the_page_s_main_loop_runs_as_python_does(tmp_path):
     page = (HERE.parent / "docs" / "deployment.md").read_text()
     (example,) = (text.split("```")[0] for text in page.split("```C\n")[1:] if "on_timer" in text.split("```")[0])
-    python, rng = CASES["one input"](), np.random.default_rng(6)
+    python, rng = controller(PAPER, u0=[0.002]), np.random.default_rng(6)
     t = 1.0 + np.cumsum(DT * rng.uniform(0.7, 1.3, 40))
     samples = np.column_stack([rng.uniform(0.02, 0.04, 40), rng.uniform(29, 31, 40), t - 0.004])
     samples[rng.random(40) < 0.2, 2] = 0.0
     samples[0, 2], t[39] = t[0], t[39] + 0.7  # a pause
     samples[39, 2] = 0.0
-    expected, held, lost = [], np.zeros(1), None
+    expected, held, lost = [], np.array([0.002]), None
     for k, (*X, taken) in enumerate(samples):
         U = python.step(X if taken else None, t=t[k], sampled_at=taken or None, applied=lost).copy()
-        lost, held = (held, held) if k == 7 else (None, U)
+        lost, held = (held, held) if k in (0, 7) else (None, U)
         expected += [U[0]] if python.status.age <= 0.5 else [U[0], "warn"]
     calls, rows = (
         ", ".join(map(repr, t.tolist())),
         ", ".join(f"{{{a!r}, {b!r}, {c!r}}}" for a, b, c in samples.tolist()),
     )
-    library(python, tmp_path)
+    library(CASES["one input"](), tmp_path)
     (tmp_path / "rig.h").write_text(example.split("/* ")[1].split(" */")[0])
     (tmp_path / "main.c").write_text(example + RIG.replace("CALLS", calls).replace("SAMPLES", rows))
     command = ["gcc", *FLAGS, "-Wno-missing-prototypes", "main.c", "npred.c", "-o", "main", "-lm"]
