@@ -88,8 +88,9 @@ class Controller(InNotebook):
     where it stood.
 
     With "history" the model predicts X now, X_hat, from the last sample and the commands. A sample is refused if in
-    any state it is farther from X_hat than `outlier_limit` times half the box, or times the smaller of both if that
-    is more. X_hat then takes its place, `missed` counts it, and an observer of the delay goes on without it. If
+    any state it is farther from X_hat than `outlier_limit` times half the box, or times the smaller of |X_hat| and
+    |sample| if that is more. X_hat then takes its place, `missed` counts it, and an observer of the delay goes on
+    without it; beside an observer of the state it judges outputs, those of refused samples too. If
     samples are refused for a time of D_hat, or after a doubtful one for longer than it was believed, X has jumped:
     the next one is accepted within six half widths of the box's middle, and ten times as far after each further
     D_hat. `outlier_limit=None` accepts all; so does a state without a box.
@@ -97,9 +98,9 @@ class Controller(InNotebook):
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
     `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
-    accepts an output within 6 `outlier_limit` standard deviations, and restarts if it refused one for a time of D_hat.
-    `watchdog` gives U if no sample comes (npred.Watchdog). `safety` keeps the limits that the plant
-    declares (npred.SafetyFilter); with an uncertain delay it needs "history".
+    accepts an output within 6 `outlier_limit` standard deviations (EKF), or `outlier_limit` half ranges (Luenberger),
+    and restarts if it refused one for a time of D_hat. `watchdog` gives U if no sample comes (npred.Watchdog).
+    `safety` keeps the limits that the plant declares (npred.SafetyFilter); with an uncertain delay it needs "history".
 
     Raises ConfigError for parts that do not fit together.
     """
@@ -613,8 +614,10 @@ class Controller(InNotebook):
         low, high = self.settings.bounds
         array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
         if self._reads_commands and seconds > self.longest_D_hat:
-            what = f"expected at most {self.plant.time_text(self.reach)}, the length of the history"
-            raise ConfigError(f"D_hat: {what}, got {seconds:g}; make another controller with that D_hat")
+            what = f"expected at most {self.plant.time_text(self.longest_D_hat)}, as far as the history reaches"
+            raise ConfigError(
+                f"D_hat: {what}, got {self.plant.time_text(seconds)}; make another controller with that D_hat"
+            )
         if not 0 <= step <= STEPS:
             came = "a negative one" if step < 0 else "a larger one"
             raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
@@ -646,8 +649,8 @@ class Controller(InNotebook):
         reason = {
             engine.MEASUREMENT: f"expected finite {'X' if self._reads_commands else 'X and u'}, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {time(self.reach)}, the length of the history, got "
-            f"{longest:g}; raise history_length",
+            engine.TOO_LONG: f"expected a delay of at most {time(self.longest_D_hat)}, as far as the history reaches, "
+            f"got {time(longest)}; raise history_length",
             engine.UNKNOWN: f"expected a sample of X, for nothing tells the state, got {sample}",
         }[code]
         sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""

@@ -386,7 +386,7 @@ def test_commands_reach_back_to_a_delay_that_the_plant_declares():
     for k in range(300):
         np.testing.assert_allclose(controller.step(wanted.samples.X[k]), wanted.U[k], rtol=1e-9, atol=1e-12)
     short = npred.controller(plant, run, None, 0.01, actuator="history", history_length=0.5)
-    with pytest.raises(DivergedError, match=r"at most 0\.5 s, the length of the history, got 1; raise history_length"):
+    with pytest.raises(DivergedError, match=r"at most 0\.51 s, as far as the history reaches, got 1 s; raise"):
         short.step(X)
     assert short.t == 0.01
     with pytest.raises(ConfigError, match=r"history_length: expected at least the largest delay, 4 s, got 1\.0"):
