@@ -131,11 +131,8 @@ class Design:
         if arrived:
             return moved, arrived
         X, u = np.split(z, [self.plant.n])
-        sizes = self.plant.scales[: self.plant.n]
-        f, f_U = self.plant.f(X, u) / sizes, self.plant.jacobians(X, u)[1] / sizes[:, None]
-        if np.isfinite(f).all() and np.isfinite(f_U).all():
-            u = u - np.linalg.lstsq(f_U, f, rcond=None)[0]
-        return self._search(np.append(X, u))
+        change = newton.best_input(self.plant.f(X, u), self.plant.jacobians(X, u)[1], self.plant.scales[: self.plant.n])
+        return self._search(np.append(X, u + change))
 
     def _search(self, z: np.ndarray, by_input: bool = False) -> tuple[np.ndarray, bool]:
         """A point of rest from z on by X and u in one vector, or by u alone, by the shortest steps in their sizes."""

@@ -67,6 +67,16 @@ def search(
     return z, s >= 1
 
 
+def best_input(f: np.ndarray, f_U: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """The change of the inputs (m,) with the least f (n,), in sizes of the states, by one Gauss-Newton step with f_U
+    (n, m); zeros where these are not finite.
+    """
+    f, f_U = f / sizes, f_U / sizes[:, None]
+    if not (np.isfinite(f).all() and np.isfinite(f_U).all()):
+        return np.zeros(f_U.shape[1])
+    return -np.linalg.lstsq(f_U, f, rcond=None)[0]
+
+
 def _corrected(
     F: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], goal: np.ndarray, z: np.ndarray, units: np.ndarray,
     tries: int,

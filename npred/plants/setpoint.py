@@ -11,6 +11,7 @@ from npred.base.progress import say
 from npred.formulas import array_math, programs
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
+from npred.plants import newton
 
 SETTLE = "q, p, units, &z, &arrived, &kept"  # the arguments of the kernel, as npred/kernels/c/rest.h has them
 STARTS = 16  # random ones in the box, where the search from `guess` finds no rest
@@ -127,16 +128,15 @@ def first(plant: Any, p: np.ndarray) -> np.ndarray:
 
 
 def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """The input (m,) with the least f at X, in sizes of the states, by one Gauss-Newton step from 0; else zeros."""
-    u, p, sizes = np.zeros(plant.m), p.tolist(), plant.scales[: plant.n]
+    """The input (m,) with the least f at X, by one Gauss-Newton step from 0; zeros where f or f_U is not known."""
+    u, p = np.zeros(plant.m), p.tolist()
     with np.errstate(all="ignore"):
         try:
             f = np.array(plant.call("f", X.tolist(), u.tolist(), 0.0, p, array_math.NUMPY), dtype=float)
             f_U = np.array(plant.derivatives["f_u"](*X, *u, 0.0, *p), dtype=float).reshape(plant.m, plant.n).T
         except (ArithmeticError, ValueError):
             return u
-    f, f_U = f / sizes, f_U / sizes[:, None]
-    return -np.linalg.lstsq(f_U, f, rcond=None)[0] if np.isfinite(f).all() and np.isfinite(f_U).all() else u
+    return newton.best_input(f, f_U, plant.scales[: plant.n])
 
 
 def changed(
@@ -162,11 +162,15 @@ def changed(
         others = (other.z for other in searched(plant, p) if not beyond(plant, other.z, limits))
         z = next(others, None)
         names = (*plant.states, *plant.inputs)
-        cure = "choose another" if z is None else f"another branch rests with {source_lines.values(names, z)}"
+        cure = "choose another"
+        if z is not None:
+            guess = [float(f"{value:.4g}") for value in z[: plant.n]]
+            cure = f"another branch rests with {source_lines.values(names, z)}; to use it, start there: guess = {guess}"
         what = f"expected a rest within its bounds for {shown}, {f'got {outside}' if outside else 'found none'}"
         raise ConfigError(f"set: {what}; the old set-point stays, {cure}")
     p[count:] = rest.z
     if rest.kept < 0:
         near = ", ".join(f"{name} = {value:.3g}" for name, value in values.items())  # so few that each can be said
-        say(f"set: {near}: expected a rest where safe is at least 0, got {rest.kept:.2g}; a safety filter keeps off it")
+        what = f"expected a rest where safe is at least 0, got {rest.kept:.2g}"
+        say(f"set: {near}: {what}; choose another, or let npred.SafetyFilter keep off it")
     return p
