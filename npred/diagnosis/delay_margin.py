@@ -113,7 +113,7 @@ class MismatchedLoop:
         if np.isfinite(self.closed).all():
             self.poles = np.linalg.eigvals(self.closed).astype(complex)
         if not self.poles.real.max() < 0:
-            got = f"got the eigenvalue {self.poles[np.argmax(self.poles.real)]:.3g} at the equilibrium"
+            got = f"got the eigenvalue {self.poles[np.argmax(self.poles.real)]:.3g} at rest"
             raise ConfigError(f"{plant.location('kappa')} expected to stabilise without delay, {got}; change its gains")
 
     @property

@@ -58,7 +58,7 @@ def stability(case: Case) -> Verdict:
     plant = case.plant
     A, _ = plant.linearised()
     if not np.isfinite(A).all():
-        return "no", f"{plant.location('kappa')}: no derivative at the equilibrium; guard the term that has none"
+        return "no", f"{plant.location('kappa')}: no derivative at rest; guard the term that has none"
     rates = sorted(np.linalg.eigvals(A), key=lambda rate: -rate.real)  # the slowest first
     values = ", ".join(f"{rate.real:.3g}" + (f" {rate.imag:+.3g}i" if rate.imag else "") for rate in rates)
     if rates[0].real < 0:

@@ -178,7 +178,7 @@ def shapes(table: NetworkTable, plant: Plant) -> dict[str, tuple[int, ...]]:
 def check_anchor(anchor: str, plant: Plant) -> None:
     """Raise ConfigError for the anchor `equilibrium` on a plant without one."""
     if anchor == "equilibrium" and not plant.rest:
-        raise ConfigError(f"anchor: expected a plant with an equilibrium, {plant.name} has none; use 'initial'")
+        raise ConfigError(f"anchor: expected a plant with a rest, {plant.name} has none; use 'initial'")
 
 
 def _table(folder: Path) -> SavedTable:

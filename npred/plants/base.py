@@ -228,13 +228,13 @@ class Plant(InNotebook):
         """
         if not self.rests:
             got = "f or kappa depends on time; it only tracks"
-            raise ConfigError(f"plant {self.name}: expected an equilibrium, but {got}")
+            raise ConfigError(f"plant {self.name}: expected a rest, but {got}")
         X = self.p[-self.n - self.m : -self.m].copy() if self.declares_setpoint else self.guess.copy()
         X, arrived = newton.search(self._at_rest, X, self.scales[: self.n])
         if not arrived:
             g, _ = self._at_rest(X)
             left = source_lines.values([f"{name}'" for name in self.states], g)
-            near = f"no equilibrium near guess = {self.guess.tolist()}: {left} is left"
+            near = f"no rest near guess = {self.guess.tolist()}: {left} is left"
             cure = "let kappa hold a point where f vanishes, or give a `guess` closer to one"
             raise ConfigError(f"{self.location('kappa')} leads to {near}; {cure}")
         return X
@@ -252,7 +252,7 @@ class Plant(InNotebook):
         if self.rests:
             return self.equilibrium
         if not self.tracks:
-            neither = "expected an equilibrium or a reference, found neither; declare reference(t, p, M)"
+            neither = "expected a rest or a reference, found neither; declare reference(t, p, M)"
             raise ConfigError(f"plant {self.name}: {neither}")
         return self._reference(np.asarray(t, dtype=float))
 

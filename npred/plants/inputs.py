@@ -180,13 +180,13 @@ def before(plant: Plant, u0: Given, limits: np.ndarray, X0: np.ndarray) -> np.nd
 
 
 def sentence(plant: Plant, u0: Given, limits: np.ndarray) -> str:
-    """u0 in words: q = 0, or q = 0.5 of the equilibrium, or kappa(X0, 0)."""
+    """u0 in words: q = 0, or q = 0.5 of the rest, or kappa(X0, 0)."""
     value = start(plant, u0, limits)
     if _is_table(value):
         return f"a history of {len(value)} rows"
     if isinstance(value, str):
         at_rest = None if value == LAW else source_lines.values(plant.inputs, _at_rest(plant, limits))
-        return f"{at_rest} of the equilibrium" if at_rest else "kappa(X0, 0)"
+        return f"{at_rest} of the rest" if at_rest else "kappa(X0, 0)"
     assert isinstance(value, np.ndarray)
     return source_lines.values(plant.inputs, value)
 
@@ -205,12 +205,12 @@ def _is_table(value: object) -> TypeGuard[np.ndarray]:
 
 
 def _at_rest(plant: Plant, limits: np.ndarray) -> np.ndarray:
-    """The input at the equilibrium, or at the reference at t = 0, (m,)."""
+    """The input at rest, or at the reference at t = 0, (m,)."""
     try:
         u = plant.u_target(0.0)
     except ConfigError as error:
-        raise ConfigError(f"u0: expected an equilibrium to take it from, got: {error}; or give u0 as numbers") from None
-    return _accepted(plant, u, limits, "that of the equilibrium, ")
+        raise ConfigError(f"u0: expected a rest to take it from, got: {error}; or give u0 as numbers") from None
+    return _accepted(plant, u, limits, "that of the rest, ")
 
 
 def _accepted(plant: Plant, u: np.ndarray, limits: np.ndarray, which: str) -> np.ndarray:

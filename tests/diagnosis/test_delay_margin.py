@@ -141,7 +141,7 @@ def test_stability_by_the_nyquist_curve_is_that_of_the_spectrum(D_hat):
         ("scalar", {}, 0.0, "D: expected a time above 0"),
         ("scalar", {"c": -1.0}, 1.0, "expected to stabilise without delay, got the eigenvalue 1"),
         ("transport_tank", {}, 1.0, "expected a constant delay"),
-        ("planar_arm2", {}, 1.0, "expected an equilibrium"),
+        ("planar_arm2", {}, 1.0, "expected a rest"),
     ],
 )
 def test_what_has_no_margin_is_refused_in_one_line(name, parameters, D, words):

@@ -50,10 +50,10 @@ def test_built_in_plants_have_no_answer_of_no(name):
         ('box = {"h": (0.5, 2.0)}', "box = {}", "box", 'plant Tank: box has no range for h; add box = {"h":'),
         ("(0.5, 2.0)", "(-0.5, 2.0)", "finite", r"f \(my_plant.py:10\) is not finite at h = -0.\d+, .*shrink box"),
         ("(x.h - p.level) ** 2", "x.h - p.level", "finite", r"V \(my_plant.py:16\) expected at least 0 .*, got -0.\d+"),
-        ("+ p.level - x.h", "+ 1 + x.h**2", "equilibrium", r"py:13\) leads to no equilibrium .* `guess`"),
+        ("+ p.level - x.h", "+ 1 + x.h**2", "equilibrium", r"py:13\) leads to no rest .* `guess`"),
         ("guess =", "input_bounds = [(0.0, 0.3)]\n    guess =", "equilibrium", "rests with U = 0.5, outside input_b"),
         ("+ p.level - x.h", "+ x.h - p.level", "stability", r"py:13\) does not stabilise .*: eigenvalues 1 at"),
-        ("+ p.level - x.h", "+ M.sqrt(M.abs(x.h - 0.8))", "stability", "no derivative at the equilibrium; guard"),
+        ("+ p.level - x.h", "+ M.sqrt(M.abs(x.h - 0.8))", "stability", "no derivative at rest; guard"),
         ("* M.sqrt(x.h)]\n\n    def k", "* M.sqrt(x.h) + x.h**3]\n\n    def k", "completeness", "py:10.: the open"),
         ("[u.U - p.", "[u.U - 900 * (x.h - 1) - p.", "stiffness", "= 9 with .* expected below 2; take 45. nodes or"),
     ],
@@ -282,7 +282,7 @@ def test_the_delay_is_the_plants_or_the_pipelines_before_it_is_assumed():
 
 def test_the_open_loop_starts_with_u0():
     found = answers(Plant("reactor", Reactor), delay=12.0)["completeness"]
-    assert found.verdict == "yes" and "u0: Tc = 300 of the equilibrium" in found.text
+    assert found.verdict == "yes" and "u0: Tc = 300 of the rest" in found.text
 
 
 RAISES = """

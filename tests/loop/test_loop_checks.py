@@ -141,7 +141,7 @@ def test_a_plant_that_gives_none_is_told():
     falls = {"kappa": staticmethod(lambda x, t, p, M: [0.5 * M.sqrt(x.h) + 9 * (x.h - 1.0)])}
     for change, words in (
         ({"box": {}}, "expected a gain, because plant Tank has no box for h; give gamma"),
-        (nowhere, r"expected a gain, none could be derived: plant Tank: .* no equilibrium .*; or give gamma"),
+        (nowhere, r"expected a gain, none could be derived: plant Tank: .* no rest .*; or give gamma"),
         (falls, "expected a gain, none could be derived, because loops of plant Tank overflow"),
     ):
         with pytest.raises(ConfigError, match=f"gamma: {words}"):

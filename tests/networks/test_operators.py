@@ -200,7 +200,7 @@ def test_equilibrium_anchor_needs_an_equilibrium():
         name, n, m, rest, phased = "tracking", 2, 1, None, False
 
     scaling = Scaling(2, 1)
-    with pytest.raises(ConfigError, match="anchor: expected a plant with an equilibrium, tracking has none"):
+    with pytest.raises(ConfigError, match="anchor: expected a plant with a rest, tracking has none"):
         build(DeepONet(), Tracking(), scaling)  # type: ignore[arg-type]
     build(DeepONet(anchor="initial"), Tracking(), scaling)  # type: ignore[arg-type]
 

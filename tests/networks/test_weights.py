@@ -65,7 +65,7 @@ def test_an_anchor_at_rest_needs_a_plant_with_one(tmp_path: Path):
         name, n, m, rest, phased = "tracking", 2, 1, None, False
 
     operators.save(tmp_path, operator(SMALL[0]), SMALL[0])
-    with pytest.raises(ConfigError, match="anchor: expected a plant with an equilibrium, tracking has none"):
+    with pytest.raises(ConfigError, match="anchor: expected a plant with a rest, tracking has none"):
         read(tmp_path, Tracking())  # type: ignore[arg-type]
 
 

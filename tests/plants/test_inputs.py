@@ -78,10 +78,10 @@ def test_an_equilibrium_is_needed_where_one_is_asked_for():
         f = lambda x, u, t, p, M: [u.u]
         kappa = lambda x, t, p, M: [M.sin(t) - x.x]
 
-    with pytest.raises(ConfigError, match=r"u0: expected an equilibrium to take it from, got: .*or give u0 as numbers"):
+    with pytest.raises(ConfigError, match=r"u0: expected a rest to take it from, got: .*or give u0 as numbers"):
         inputs.before(Plant("drifts", Drifts), "equilibrium", np.array([[-1.0, 1.0]]), np.zeros((1, 1)))
     beyond = np.array([[310.0, 320.0]])
-    with pytest.raises(ConfigError, match="got that of the equilibrium, Tc = 300"):
+    with pytest.raises(ConfigError, match="got that of the rest, Tc = 300"):
         inputs.before(REACTOR, None, beyond, np.zeros((1, 2)))
 
 

@@ -232,7 +232,7 @@ def test_derivatives_at_many_points_and_times_are_those_at_each():
         ("M.sqrt(x.h)]", "__import__('numpy').sqrt(x.h)]", r"f failed at my_plant.py:11: TypeError: .*; write M.sqrt"),
         ("(x.h - p.level) ** 2", "[x.h]", r"V \(my_plant.py:16\) expected .*, got list; return one number, not a"),
         ("class Tank", "import sys; sys.exit(3)\nclass Tank", r"failed on import: SystemExit"),
-        ("+ p.level - x.h", "+ 1 + x.h**2", r"\(my_plant.py:13\) leads to no equilibrium near guess = \[0.8\]: h' = 1"),
+        ("+ p.level - x.h", "+ 1 + x.h**2", r"\(my_plant.py:13\) leads to no rest near guess = \[0.8\]: h' = 1"),
     ],
 )
 def test_mistakes_are_told_in_one_line(tank_file, old, new, message):

@@ -124,7 +124,7 @@ def test_a_plant_without_rest_or_reference_has_no_radius(tmp_path):
     path = tmp_path / "moving.py"
     path.write_text(MOVING)
     check(stages=("generate",), plant=f"{path}:Moving")
-    with pytest.raises(ConfigError, match="expected a plant with an equilibrium or a reference, Moving has neither"):
+    with pytest.raises(ConfigError, match="expected a plant with a rest or a reference, Moving has neither"):
         check(plant=f"{path}:Moving")
     with pytest.raises(ConfigError, match=r'train.fno.anchor: .* Moving has none; write anchor = "initial"'):
         check(stages=("train",), plant=f"{path}:Moving", train={"deeponet": {"anchor": "initial"}})
@@ -231,7 +231,7 @@ def test_a_state_without_a_range_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[M.sin(t) - x.x]", "[1 + x.x**2]", "leads to no equilibrium near guess"),
+        ("[M.sin(t) - x.x]", "[1 + x.x**2]", "leads to no rest near guess"),
         ("[u.U]", "[u.U + M.sin(t)]", "Moving: expected a period, for its prediction depends on time"),
         ("[M.sin(t) - x.x]", "[x.x]", r"moving.py:5\) does not stabilise without delay: eigenvalues 1 at x = 0"),
         ("[u.U]", "[u.U / M.sqrt(x.x - 0.5)]", r"f \(moving.py:4\) is not finite at x = 0.\d+, .*; shrink box"),

@@ -178,11 +178,11 @@ def _require(fit: PipelineFit, case: Case) -> None:
     at_rest = [name for name in models if pipeline.train.table(name).anchor == "equilibrium"]
     if at_rest and not plant.rest:
         keys = ", ".join(f"train.{name}.anchor" for name in at_rest)
-        what = f"expected a plant with an equilibrium, {plant.name} has none"
+        what = f"expected a plant with a rest, {plant.name} has none"
         raise ConfigError(f'{keys}: {what}; write anchor = "initial"')
     if "evaluate" in fit.stages:
         if not (plant.rests or plant.tracks):
-            what = f"expected a plant with an equilibrium or a reference, {plant.name} has neither"
+            what = f"expected a plant with a rest or a reference, {plant.name} has neither"
             todo = "declare reference(t, p, M), what kappa follows"
             raise ConfigError(f"evaluate: {what}; its loops have no radius: {todo}")
         X0 = pipeline.evaluate.X0
