@@ -27,7 +27,8 @@ with the gain K of one extended Kalman filter along the best candidate. Its vari
 differences of the sums are differences of log likelihoods [Magill, IEEE TAC 10 (1965) 434]. They are compared with what
 noise makes of them, and the memory forgets them only for news.
 
-The spread of D_hat is half the range of the candidates whose sums noise may make of the smallest one. With the time
+The spread of D_hat is half the range of the candidates whose sums exceed the smallest one by no more than noise can
+explain. With the time
 since the commands last showed the delay it grows to half the range of the bounds.
 
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two

@@ -86,7 +86,7 @@ RECORD = [
     *_rows("sample", "sample_D_hat"),
     *_lane("escaped", start=-1, kind="int64"),  # the first step whose state is not finite
     *_lane("infeasible", start=-1, kind="int64"),  # the first step at which commands would overtake each other
-    *_lane("D_hat_spread"),  # at the end: half the range of the delays that fit the samples as well
+    *_lane("D_hat_spread"),  # at the end: half the range of the delays whose misfit noise can explain
     *_rows("breach", "breach"),  # state and input there, and the time of that step
     Signal("fallback", ("row",), 0, "bool"),  # whether the guard answered since the row before
     *_lane("fallbacks", start=0, kind="int64"),  # the steps in which it did

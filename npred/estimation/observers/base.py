@@ -47,8 +47,8 @@ class Observer(ABC):
     X' = f(X, U + d). Its memory begins with X (n), then d (m), zeros without `offset`.
 
     X0 (n,) is the state to begin with. By default it is the middle of the plant's box, and for a state without a range
-    there the equilibrium, or the reference at t = 0, or the guess.
-    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near the equilibrium, by
+    there the rest, or the reference at t = 0, or the guess.
+    Raises ConfigError for a plant that is not traced, for outputs that do not tell the state near rest, by
     all that they are over time, or, of a plant that does not rest, anywhere in the box, and for settings that do not
     fit.
     """
@@ -77,7 +77,7 @@ class Observer(ABC):
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
         rank = self._rank()
         if rank < self.size:
-            where = "in the box" if not plant.rests else "over time" if self._timed else "at the equilibrium"
+            where = "in the box" if not plant.rests else "over time" if self._timed else "at rest"
             what = "states and offsets" if self.offset else "states"
             cure = "measure more, or leave the offset out" if self.offset else "measure more"
             what = f"expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}"

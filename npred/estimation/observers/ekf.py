@@ -44,12 +44,13 @@ class EKF(Observer):
         Whether d is estimated, or the spectral density of v. With True d moves by a tenth of half the range that
         kappa has over the box, in T.
     X0 : (n,), optional
-        State to begin with; by default the middle of the box, and without a box the equilibrium or the reference at
+        State to begin with; by default the middle of the box, and without a box the rest or the reference at
         t = 0.
     P0 : float, (n,) or (n, n), squares of the states' units, optional
         Variance of X0; by default its deviation is half the box.
     outputs : list of str, optional
-        The measured states of a plant that declares no output; by default all.
+        Names of the outputs and states that are measured; by default the plant's outputs, and where it declares none,
+        all states.
 
     Raises
     ------

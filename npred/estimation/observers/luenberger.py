@@ -28,22 +28,24 @@ class Luenberger(Observer):
     Poles λ of the linearised plant that are slower than `rate`, or unstable, go to -2 rate - λ, which is the smallest
     gain that makes all as fast as `rate`; the others stay [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the
     limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box.
-    These are the spread that its gate knows, of an output less w. L is that of one point: where the plant is driven far
-    from it, or samples are rare, take the EKF.
+    Its gate refuses an output that is farther from w than `outlier_limit` of these half ranges, or, after a sample that
+    was taken, than twice the difference of that one where this is more. L is that of one point: where the plant is
+    driven far from it, or samples are rare, take the EKF.
 
     Parameters
     ----------
     plant : Plant
         From npred.plant.
     rate : float, 1/s, optional
-        How fast errors fade near the equilibrium; by default the geometric mean of the rates of the loop of kappa.
+        How fast errors fade near rest; by default the geometric mean of the rates of the loop of kappa.
     offset : bool, default False
         Whether d is estimated.
     X0 : (n,), optional
-        State to begin with; by default the middle of the box, and without a box the equilibrium or the reference at
+        State to begin with; by default the middle of the box, and without a box the rest or the reference at
         t = 0.
     outputs : list of str, optional
-        The measured states of a plant that declares no output; by default all.
+        Names of the outputs and states that are measured; by default the plant's outputs, and where it declares none,
+        all states.
 
     Raises
     ------
