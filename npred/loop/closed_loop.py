@@ -63,8 +63,9 @@ def simulate(
     D_hat : array (...), in the plant's unit of time, optional
         Estimate of the delay; None for a plant that declares it.
     dt : float, in the plant's unit of time, optional
-        Control step; U is held over it. By default npred.loop.control_step.usual of the delay and the
-        plant, 0.01 for most plants of npred with a delay of 1.
+        Control step; U is held over it. By default npred.loop.control_step.usual of the delay, the plant and the law:
+        with a delay of 1 it is 0.01 for `scalar`, 0.005 for the paper's plant, and for `scalar` with a law that
+        integrates a rate of D_hat, as DelayAdaptation.
     adaptation : DelayLaw, its name as "delay-observer", or None, optional
         Law of the estimate D_hat; None or "frozen" freezes it.
     every : int, default 1
