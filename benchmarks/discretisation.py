@@ -36,7 +36,7 @@ def mesh() -> None:
             for nx in (101, round(1 / dt) + 1):
                 run = npred.simulate(
                     plant, npred.predictor(plant, "rk4", nx), D=1.0, D_hat=2.0, X0=[0.03, 30.0], t_end=100.0, dt=dt,
-                    adaptation=law, input_bounds=clip, every=round(1 / dt),
+                    adaptation=law, input_bounds=clip, u0=[0.0], every=round(1 / dt),
                 )  # fmt: skip
                 gaps.append(f"{run.D_hat[-1] / limit - 1:.3%} on {nx} nodes")
             print(f"  {'U >= 0' if clip else 'unclipped':9s}  dt = {dt:<8g}  {'; '.join(gaps)}", flush=True)
@@ -98,7 +98,7 @@ def order() -> None:
         errors: dict[str, list[float]] = {what: [] for what in ("jump", "no jump", "means", "values")}
         for nx in intervals + 1:
             method = npred.predictor(plant, name, int(nx))
-            run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=start[0], t_end=3.0, dt=dt)
+            run = npred.simulate(plant, method, D=1.0, D_hat=1.0, X0=start[0], t_end=3.0, dt=dt, u0=[0.0])
             U = np.concatenate([np.zeros(N), run.U[:, 0]])
             for what, at in times.items():
                 k = np.round(np.array(at) / dt).astype(int)
