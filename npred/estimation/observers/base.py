@@ -77,7 +77,7 @@ class Observer(ABC):
         self.X0 = self.sizes.x if X0 is None else self.fitting("X0", X0, plant.n)
         rank = self._rank()
         if rank < self.size:
-            where = "in the box" if not plant.rests else "over time" if self._timed else "at rest"
+            where = "in the box" if not plant.rests else "over time" if self._timed else "at the rest"
             what = "states and offsets" if self.offset else "states"
             cure = "measure more, or leave the offset out" if self.offset else "measure more"
             what = f"expected {what} that {', '.join(self.outputs)} tell of {where} of plant {plant.name}"

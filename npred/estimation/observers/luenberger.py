@@ -29,8 +29,8 @@ class Luenberger(Observer):
     gain that makes all as fast as `rate`; the others stay [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the
     limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box.
     Its gate refuses an output that is farther from w than `outlier_limit` of these half ranges, or, after a sample that
-    was taken, than twice the difference of that one where this is more. L is that of one point: where the plant is
-    driven far from it, or samples are rare, take the EKF.
+    was taken, than about twice the difference of that one where this is more. L is that of one point: where the plant
+    is driven far from it, or samples are rare, take the EKF.
 
     Parameters
     ----------
