@@ -5,7 +5,8 @@
 With MODELs, as pipeline/paper.toml:deeponet, it prints of each the error of D_hat' on held-out rows, for the network's
 P_hat stands in the place of P in [DAPF, eqs. 12-14]. Otherwise, the notebook:
 ∂f1/∂x2 has x2² in the place of x2; ∂κ/∂x1 has 1 added and lacks a factor x1. All else is npred's: RK4, exact transport.
-The law with the right derivatives, by the same code, is the reference; npred's compiled one is the same law.
+Before t = 0 the input is 0, as there. The law with the right derivatives, by the same code, is the reference; npred's
+compiled one is the same law.
 """
 
 import sys
@@ -96,7 +97,7 @@ def main() -> None:
         for name, law in laws.items():
             loops = npred.simulate(
                 plant, rk4, D=1.0, D_hat=FIRST, X0=[0.03, 30.0], t_end=100.0, dt=1 / 300, input_bounds=bounds,
-                adaptation=law(gamma=1000.0, b=1.0, bounds=(0.1, 4.0)),
+                u0=[0.0], adaptation=law(gamma=1000.0, b=1.0, bounds=(0.1, 4.0)),
             )  # fmt: skip
             target = plant.target(loops.t)
             radius, settled = metrics.radius(loops, target), metrics.settle_time(loops, target)
