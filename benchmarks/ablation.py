@@ -2,7 +2,7 @@
 
     python benchmarks/ablation.py [PIPELINE] [--epochs N] [--store DIR]
 
-Every row is an ordinary artifact of the store, so an interrupted study goes on, and a second one is free. The table
+Every row is an ordinary result of the store, so an interrupted study goes on, and a second one is free. The table
 goes to stdout as Markdown; docs/accuracy.md holds the last one.
 """
 
