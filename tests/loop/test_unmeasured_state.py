@@ -6,6 +6,7 @@ import pytest
 import npred
 from npred import diagnosis
 from npred.base import progress
+from npred.base.errors import DivergedError
 from npred.estimation.observers import EKF, Luenberger
 
 
@@ -134,6 +135,36 @@ def test_an_observer_of_the_delay_does_not_begin_anew_with_that_of_the_state():
     for k in range(200):
         one.step([7.0 if k < 100 else 20.0])
     assert one.status.renewed > 0 and one.memory.observer[-6, 0] > 150  # samples that it has counted
+
+
+class Tanks:
+    """Two tanks in a row; the slope of a root at 0 is not finite."""
+
+    states, inputs, outputs, parameters = ("h", "g"), ("q",), ("level",), {"aim": 1.0}
+    box, guess, input_bounds = {"h": (0.1, 2.0), "g": (0.1, 2.0)}, (1.0, 1.0), ((0.0, 3.0),)
+
+    f = lambda x, u, t, p, M: [u.q - M.sqrt(x.h), M.sqrt(x.h) - M.sqrt(x.g)]
+    output = lambda x, t, p, M: [x.g]
+    setpoint = lambda x, t, p, M: [x.g - p.aim]
+
+
+@pytest.mark.parametrize("kind", [EKF, Luenberger])
+def test_candidates_that_are_not_finite_start_anew_and_find_the_delay(kind):
+    """A sensor gives 0 at first."""
+    plant = npred.plant(Tanks, kappa="lqr")
+    law, heun = npred.DelayObserver(bounds=(0.1, 1.0)), npred.predictor(plant, "heun", nx=31)
+    one = npred.controller(plant, heun, law, 0.01, D_hat=0.5, observer=kind(plant, offset=True), u0="equilibrium")
+    X, sent = np.ones(2), [1.0] * 20
+    for k in range(1200):
+        if k % 400 == 300:
+            one.set(aim=1.4 if k % 800 == 300 else 1.0)
+        try:
+            sent += [*one.step([0.0 if k < 6 else X[1]])]
+        except DivergedError:
+            sent.append(sent[-1])
+            assert k < 6
+        X = X + 0.01 * plant.f(X, [sent[-21]])
+    assert abs(one.D_hat - 0.2) < 0.03 and np.isfinite(one.memory.observer).all()
 
 
 class Slack(Neutral):
