@@ -179,7 +179,9 @@ class Plant(InNotebook):
         """How many numbers safe(x, t, p, M) gives; 0 where it is not declared."""
         if not self.declares_safe:
             return 0
-        return len(self.call("safe", [*self.guess], None, 0.0, self.p_declared.tolist(), array_math.of(self.guess)))
+        p = [*self.parameters.values()]
+        p += [np.nan] * (len(self.p_names) - len(p))  # a formula may divide by a state or by the rest: NaN never fails
+        return len(self.call("safe", [np.nan] * self.n, None, np.nan, p, array_math.NUMPY))
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""

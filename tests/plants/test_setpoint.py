@@ -150,16 +150,15 @@ def reactor(q):
     return npred.plant(declared(f, {"b": 1.11}, box, {"q": q}, guess=(3.0, 1.11)))
 
 
-def test_a_rest_on_another_branch_is_named():
+def test_a_rest_on_another_branch_is_that_of_another_plant():
     plant = reactor((3.0, 77.0))
     assert asked(plant, plant.p, aim_b=1.26)[3] < 78
     with pytest.raises(ConfigError, match=r"aim_b = 1\.27, found none; the old set-point stays, choose another"):
         asked(plant, plant.p, aim_b=1.27)
     plant = reactor((30.0, 300.0))
-    with pytest.raises(
-        ConfigError, match=r"got q = 19\.63; the old set-point stays, another branch rests with .*q = 2"
-    ):
+    with pytest.raises(ConfigError, match=r"got q = 19\.63; the old set-point stays, .* or make the plant with it"):
         asked(plant, plant.p, aim_b=0.9)
+    assert 200 < npred.plant(plant.declared, aim_b=0.9).p[-1] < 300
 
 
 def test_what_no_equation_moves_stays():
@@ -216,6 +215,29 @@ def test_beyond_state_bounds_it_is_refused_and_beyond_safe_it_is_said(tmp_path, 
     one.set(aim=2.0)  # on the rim
     assert one.step([1.0]) != in_c.step([1.0]) == in_fmu.step([1.0])
     in_fmu.close()
+
+
+class Divided(Walled):
+    """One limit is about the rest, one about the time; two are of the state, of which one is NaN above 1.6 m."""
+
+    def safe(x, t, p, M):
+        return [p.aim / p.rest_h - 0.5 * x.h / p.rest_h, 2.0 + t, 1.5 - x.h, M.sqrt(1.6 - x.h)]
+
+
+@needs_gcc
+@pytest.mark.parametrize(("aim", "got"), [(1.55, "-0.05"), (1.8, "nan")])
+def test_limits_that_depend_on_the_rest_or_the_time_leave_the_others(tmp_path, capsys, monkeypatch, aim, got):
+    monkeypatch.delenv("NPRED_QUIET", raising=False)
+    plant = npred.plant(Divided, kappa="lqr")
+    one = controller(plant)
+    in_c = InC(library(one, tmp_path), plant)
+    in_c.library.npred_set_aim.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    capsys.readouterr()
+    one.set(aim=aim)
+    assert f"expected a rest where safe is at least 0, got {got}; add npred.SafetyFilter" in capsys.readouterr().err
+    assert in_c.library.npred_set_aim(in_c.memory, aim) == 7
+    answers = {a.check: a for a in diagnosis.check(npred.plant(Divided, kappa="lqr", aim=aim), 0.2, samples=16)}
+    assert answers["equilibrium"].verdict == "warn" and "limit " in answers["equilibrium"].text
 
 
 @pytest.mark.parametrize(("aim", "verdict", "said"), [(1.2, "yes", "q = "), (1.8, "warn", "limit 1 of 2 = -0.3")])
