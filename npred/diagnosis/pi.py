@@ -4,8 +4,8 @@ PI: U = U* + k (e + ∫ e dt / T_i), e = Y* - Y, held over dt; the integral wait
 it farther. Smith predictor [Smith 1957]: the same with e - (y(t) - y(t - D)), y the output of the plant linearised at
 rest.
 All three get the same step of the load or of the set-point, from rest, with a true delay of 0.9, 1 and 1.1 times the
-one that is known. The score is IAE = ∫ |e| dt, the worst of the three delays: gains that are good only if the delay is
-exact do not win. The gains of the rivals are the best of a grid that is refined three times. The predictor has the
+one that is known. The score is IAE = ∫ |e| dt, the worst of the three delays: gains that are good only where the delay
+is exact do not win. The gains of the rivals are the best of a grid that is refined three times. The predictor has the
 plant's own kappa, and of three speeds of the estimated offset the best.
 """
 
@@ -41,8 +41,8 @@ WORSE = 1.02  # times the rival's IAE: the predictor is no better
 class StepTask:
     """Steps of the load and of the set-point `aim` at a plant with one input, from rest, and the lengths of time.
 
-    `error` is e (…,) of X (…, n) before the step of the set-point, which benchmarks/pi.py makes; `compared` makes one of
-    the load.
+    `error` is e (…,) of X (…, n) before the step of the set-point. That step is for benchmarks/pi.py; `compared` makes
+    one of the load.
     """
 
     plant: Plant
