@@ -34,11 +34,9 @@ def equilibrium(case: Case) -> Verdict:
     plant = case.plant
     X, u = plant.equilibrium, plant.u_equilibrium
     values = source_lines.values(plant.inputs, u)
-    if (u < case.limits[:, 0]).any() or (u > case.limits[:, 1]).any():
-        outside = f"outside input_bounds {case.limits.tolist()}"
-        return "no", f"plant {plant.name}: rests with {values}, {outside}; move the set point"
     if outside := setpoint.beyond(plant, np.append(X, u), setpoint.bounds(plant, case.limits)):
-        return "no", f"plant {plant.name}: rests at {outside}, outside state_bounds; move the set point, or the bounds"
+        of_inputs = f"input_bounds {case.limits.tolist()} or state_bounds"
+        return "no", f"plant {plant.name}: rests with {outside}, outside {of_inputs}; move the set point, or the bounds"
     with np.errstate(all="ignore"):
         limits = plant.safe(X) if plant.declares_safe else np.zeros(0)
     broken = ~(limits >= 0)  # NaN is not kept
