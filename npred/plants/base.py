@@ -420,7 +420,9 @@ class Plant(InNotebook):
     def identity(self) -> Mapping[str, Any]:
         """What a part made for it depends on: a plant that is made again by an equal declaration has an equal one."""
         parts = {"parameters": dict(self.parameters), "state_bounds": self.state_bounds, "outputs": self.outputs}
-        parts |= {"output": _digest(self.printed("output"))} if self.declares_output and self.traced else {}
+        parts |= {"box": self.box, "guess": self.guess.tolist(), "input_bounds": self.input_bounds}
+        declared = {"output": self.declares_output, "safe": self.declares_safe}
+        parts |= {name: _digest(self.printed(name)) for name, has in declared.items() if has and self.traced}
         return {**self.formulas, **parts, **{name: _digest(text) for name, text in self.program.items()}}
 
     def own(self, name: str, part: Any) -> None:
