@@ -28,8 +28,8 @@ class Luenberger(Observer):
     Poles λ of the linearised plant that are slower than `rate`, or unstable, go to -2 rate - λ, which is the smallest
     gain that makes all as fast as `rate`; the others stay [Anderson, Moore, Linear Optimal Control, 1971, ch. 3, in the
     limit of a small weight on the state]. The outputs (see Observer) are weighed by their half ranges over the box.
-    These are the spread that its gate knows, of an output less w. L is that of one point: where the plant is driven far
-    from it, or samples are rare, take the EKF.
+    From these its gate has the spread of an output less w, to which it adds twice the last difference that was taken.
+    L is that of one point: where the plant is driven far from it, or samples are rare, take the EKF.
 
     Parameters
     ----------
