@@ -1,7 +1,10 @@
 """An unknown delay of a plant whose state and offset are estimated from outputs: it is found, or that is said."""
 
+import ctypes
+
 import numpy as np
 import pytest
+from c_controllers import InC, library, needs_gcc
 
 import npred
 from npred import diagnosis
@@ -148,23 +151,31 @@ class Tanks:
     setpoint = lambda x, t, p, M: [x.g - p.aim]
 
 
+@needs_gcc
 @pytest.mark.parametrize("kind", [EKF, Luenberger])
-def test_candidates_that_are_not_finite_start_anew_and_find_the_delay(kind):
+def test_candidates_that_are_not_finite_start_anew_and_find_the_delay_in_c_too(kind, tmp_path):
     """A sensor gives 0 at first."""
     plant = npred.plant(Tanks, kappa="lqr")
     law, heun = npred.DelayObserver(bounds=(0.1, 1.0)), npred.predictor(plant, "heun", nx=31)
     one = npred.controller(plant, heun, law, 0.01, D_hat=0.5, observer=kind(plant, offset=True), u0="equilibrium")
-    X, sent = np.ones(2), [1.0] * 20
+    X, sent, in_c = np.ones(2), [1.0] * 20, InC(library(one, tmp_path), plant)
+    in_c.library.npred_set_aim.argtypes = [ctypes.c_void_p, ctypes.c_double]
     for k in range(1200):
         if k % 400 == 300:
-            one.set(aim=1.4 if k % 800 == 300 else 1.0)
+            aim = 1.4 if k % 800 == 300 else 1.0
+            one.set(aim=aim)
+            assert in_c.library.npred_set_aim(in_c.memory, aim) == 0
+        Y, U = [0.0 if k < 6 else X[1]], np.full(1, np.nan)
+        code = in_c.code(Y, out=U)
         try:
-            sent += [*one.step([0.0 if k < 6 else X[1]])]
+            sent += [*one.step(Y)]
+            assert code == 0 and U[0] == sent[-1]
         except DivergedError:
             sent.append(sent[-1])
-            assert k < 6
+            assert code == 2 and k < 6
         X = X + 0.01 * plant.f(X, [sent[-21]])
     assert abs(one.D_hat - 0.2) < 0.03 and np.isfinite(one.memory.observer).all()
+    assert in_c.status(1).D_hat == one.D_hat
 
 
 class Slack(Neutral):
