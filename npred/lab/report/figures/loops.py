@@ -83,7 +83,7 @@ def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
 def _converging(evaluation: EvaluationData) -> list[PredictorId]:
     """The predictors whose loops a panel has to show whole: the numerical one, and all whose loop ends settled.
 
-    A loop that does not settle may leave the picture, so that the others can be told apart.
+    A loop that does not settle may leave the picture, so that the others can be distinguished.
     """
     whole = []
     for predictor, loop in evaluation.loops.items():
