@@ -78,6 +78,21 @@ def test_a_number_in_quotes_is_no_number(key: str):
         config.parse({"plant": "scalar"} | table, "p.toml")
 
 
+@pytest.mark.parametrize(
+    ("u0", "said"),
+    [
+        ("foo", "evaluate.u0: expected a number or a list or 'equilibrium' or 'law', got 'foo'; write one of these"),
+        ("laws", "got 'laws'; did you mean law?"),
+        ([[1.0, "a"]], "evaluate.u0[0][1]: expected a number, got 'a'; write one, without quotes"),
+        ([1.0, "a"], "evaluate.u0[1]: expected a number or a list, got 'a'; write one of these"),
+    ],
+)
+def test_a_value_that_may_be_of_several_types_is_told_what_all_of_them_are(u0: Any, said: str):
+    with pytest.raises(ConfigError) as caught:
+        config.parse({"plant": "scalar", "evaluate": {"u0": u0}}, "p.toml")
+    assert str(caught.value).endswith(said)
+
+
 def test_a_misspelt_table_comes_before_what_is_wrong_without_it():
     """[evalute] has the actuator without which the table below it, rightly spelt, is refused."""
     tables = {"plant": "scalar", "evalute": {"actuator": "history"}, "evaluate": {"observer": {"kind": "ekf"}}}

@@ -32,14 +32,16 @@ def rejected(case: Case) -> Verdict:
     rests = [_rest(case, push, one) for push, one in zip(pushes, bare, strict=True)]
     ends = zip(rests, bare, strict=True)
     offsets = np.array([one.offset if rest is None else rest - plant.equilibrium for rest, one in ends])
+    settled, lost = all(one.fate.settled.all() for one in bare), [rest is None for rest in rests]
     with np.errstate(invalid="ignore"):
-        worst = int(np.argmax(np.nan_to_num(np.abs(offsets / case.width).max(axis=1), nan=np.inf)))
+        shares = np.nan_to_num(np.abs(offsets / case.width).max(axis=1), nan=np.inf)
+    worst = int(np.argmax(np.where(lost, np.inf, shares) if not settled and shares.max() <= NEAR else shares))
     k = int(np.argmax(pushes[worst]))
     size = case.amount(plant.inputs[k], size_of[k])
     text = f"a constant disturbance of {size} at {plant.inputs[k]}, a tenth of its range,"
     figures: dict[str, Any] = {"disturbance": loops.numbers(plant.inputs, size_of)}
     figures["offset"] = loops.numbers(plant.states, offsets[worst])
-    if all(each.fate.settled.all() for each in bare):
+    if settled or (shares.max() <= NEAR and not any(lost)):
         return "yes", f"{text} leaves every state within 1 % of half the box", figures
     far = np.abs(offsets[worst])
     if rests[worst] is not None:

@@ -34,16 +34,15 @@ def equilibrium(case: Case) -> Verdict:
     plant = case.plant
     X, u = plant.equilibrium, plant.u_equilibrium
     values = source_lines.values(plant.inputs, u)
-    if (u < case.limits[:, 0]).any() or (u > case.limits[:, 1]).any():
-        outside = f"outside input_bounds {case.limits.tolist()}"
-        return "no", f"plant {plant.name}: rests with {values}, {outside}; move the set point"
     if outside := setpoint.beyond(plant, np.append(X, u), setpoint.bounds(plant, case.limits)):
-        return "no", f"plant {plant.name}: rests at {outside}, outside state_bounds; move the set point, or the bounds"
-    limits = plant.safe(X) if plant.declares_safe else np.zeros(0)
-    if (limits < 0).any():
-        broken = source_lines.values(
-            [f"limit {k + 1} of {len(limits)}" for k in np.flatnonzero(limits < 0)], limits[limits < 0]
-        )
+        of_inputs = f"input_bounds {case.limits.tolist()} or state_bounds"
+        return "no", f"plant {plant.name}: rests with {outside}, outside {of_inputs}; move the set point, or the bounds"
+    with np.errstate(all="ignore"):
+        limits = plant.safe(X) if plant.declares_safe else np.zeros(0)
+    broken = ~(limits >= 0)  # NaN is not kept
+    if broken.any():
+        names = [f"limit {k + 1} of {len(limits)}" for k in np.flatnonzero(broken)]
+        broken = source_lines.values(names, limits[broken])
         return "warn", f"{case.state(X)}, with {values}: outside safe, {broken}; move the set point, or the limits"
     ranges = [(name, x, *case.box[name]) for name, x in zip(plant.states, X, strict=True) if name in case.box]
     beyond = [f"{name} in [{a:g}, {b:g}]" for name, x, a, b in ranges if not a <= x <= b]

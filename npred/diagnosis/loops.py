@@ -216,12 +216,12 @@ class Ensemble:
             name = self.case.plant.states[i]
             parts[f"swing, {name} between {low[i]:.3g} and {self.case.amount(name, high[i])}"] = self.swings
         if self.leaving.any():
-            reach = np.maximum(np.abs(self.last_low), np.abs(self.last_high))[self.leaving].max(axis=0)
+            target = self.case.plant.target(0.0)
+            reach = np.maximum(self.last_high - target, target - self.last_low)[self.leaving].max(axis=0)
             i = int(np.argmax(reach / self.case.width))
             name = self.case.plant.states[i]
-            parts[f"still move away after {looked}, {name} by then as far as {self.case.amount(name, reach[i])}"] = (
-                self.leaving
-            )
+            away = f"{name} by then {self.case.amount(name, reach[i])} from its target"
+            parts[f"still move away after {looked}, {away}"] = self.leaving
         if self.steady.any():
             rest = (self.last_low + self.last_high)[np.argmax(self.steady)] / 2
             parts[f"rest elsewhere, as at {self.case.state(rest)}"] = self.steady

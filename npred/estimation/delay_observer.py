@@ -28,8 +28,8 @@ differences of the sums are differences of log likelihoods [Magill, IEEE TAC 10 
 noise makes of them, and the memory forgets them only for news.
 
 The spread of D_hat is half the range of the candidates whose sums exceed the smallest one by no more than noise can
-explain. With the time
-since the commands last showed the delay it grows to half the range of the bounds.
+explain. With the time since the commands last showed the delay it grows to half the range of the bounds. Where D_hat
+stands at a bound, it is the whole range of the bounds.
 
 Errors, and all that follows from them, come from samples of the state only: a state that is predicted between two
 samples, with commands that are read at D_hat, would confirm that D_hat. Between samples the observers go on by the

@@ -317,7 +317,7 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
         yield output("renewed", "RENEWED", "how often the observer of the state restarted")
     if controller.parts["observe"]:
         spread = controller.status.D_hat_spread
-        about = "half the range of the delays that D_hat may be taken for"
+        about = "half the range of the delays that D_hat may be taken for; at a bound the whole range of the bounds"
         yield output("D_hat_spread", "SPREAD", about, time, spread)
     if controller.watchdog:
         yield flag("handed_over", "true if the watchdog gives the command")
@@ -371,6 +371,7 @@ def _header(controller: Controller, listed: Sequence[Variable], name: str, token
         f'#define TOKEN "{token}"',
         f"#define STEP {controller.dt!r}",
         f"#define TIME_UNIT {json.dumps(controller.plant.time_unit.replace('%', ''))} /* of STEP and all times */",
+        f"#define OLDEST {json.dumps(controller.plant.time_text(controller._oldest * controller.dt))}",
         f"#define GUARD_PASSES {PASSES!r}",
         f"#define VARIABLES {len(listed)}",
         f"#define VALUES {ends[-1]}",

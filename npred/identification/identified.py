@@ -157,7 +157,7 @@ class Findings:
 
     def _error(self, name: str) -> str:
         error = self.validation.errors[name]
-        return f"{error:.3g}" if error < RUN_AWAY else "beyond any number: they overflow"
+        return f"{error:.3g}" if error < RUN_AWAY else "beyond any number (overflow)"
 
     def _of_model(self) -> list[str]:
         """Why there is no answer at all."""

@@ -9,7 +9,8 @@ class Status(NamedTuple):
     """The state of a controller after its last call; times in the plant's unit.
 
     D_hat, D_hat_spread: the estimate of the delay, and half the range of the delays that it may be taken for, NaN
-    without an observer of the delay. It is wide where commands changed too little, or too long ago, to tell the delay.
+    without an observer of the delay. It is wide where commands changed too little, or too long ago, to tell the delay;
+    at a bound it is the whole range of the bounds.
     at_bound: whether D_hat stands at a bound of its law: the delay may lie outside.
     age: the age of the last used sample, infinity before the first.
     innovation (outputs,): the last sample minus the model's value, NaN before the first.

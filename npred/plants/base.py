@@ -179,7 +179,9 @@ class Plant(InNotebook):
         """How many numbers safe(x, t, p, M) gives; 0 where it is not declared."""
         if not self.declares_safe:
             return 0
-        return len(self.call("safe", [*self.guess], None, 0.0, self.p_declared.tolist(), array_math.of(self.guess)))
+        p = [*self.parameters.values()]
+        p += [np.nan] * (len(self.p_names) - len(p))  # a formula may divide by a state or by the rest: NaN never fails
+        return len(self.call("safe", [np.nan] * self.n, None, np.nan, p, array_math.NUMPY))
 
     def rollout(self, X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Value) -> np.ndarray:
         """P (B, nx, n) by the simulator of a black box that declares rollout. Raises ConfigError for any other."""
@@ -418,7 +420,9 @@ class Plant(InNotebook):
     def identity(self) -> Mapping[str, Any]:
         """What a part made for it depends on: a plant that is made again by an equal declaration has an equal one."""
         parts = {"parameters": dict(self.parameters), "state_bounds": self.state_bounds, "outputs": self.outputs}
-        parts |= {"output": _digest(self.printed("output"))} if self.declares_output and self.traced else {}
+        parts |= {"box": self.box, "guess": self.guess.tolist(), "input_bounds": self.input_bounds}
+        declared = {"output": self.declares_output, "safe": self.declares_safe}
+        parts |= {name: _digest(self.printed(name)) for name, has in declared.items() if has and self.traced}
         return {**self.formulas, **parts, **{name: _digest(text) for name, text in self.program.items()}}
 
     def own(self, name: str, part: Any) -> None:

@@ -54,12 +54,27 @@ def expected(
     return WrapValidator(check)
 
 
-def _tupled(otherwise: str) -> Callable[[Any], str]:
-    """The cure of what is no tuple: of one item parentheses make none, the comma does."""
+def _is_name(word: str) -> bool:
+    return word.isidentifier() and not iskeyword(word) and not word.startswith("_")
+
+
+def _names(value: Any) -> list[str]:
+    """Different names in a text, in quotes; none where there are others."""
+    names = re.findall(r"[^\s,;]+", value) if isinstance(value, str) else []
+    return [f'"{name}"' for name in names] if all(map(_is_name, names)) and len(names) == len(set(names)) else []
+
+
+def _number(value: Any) -> list[str]:
+    """A finite number alone."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return [str(value)] if is_number else []
+
+
+def _tupled(items_of: Callable[[Any], list[str]], otherwise: str) -> Callable[[Any], str]:
+    """The cure of what is no tuple: of one item parentheses make none, the comma does. Without items, another."""
 
     def cure(value: Any) -> str:
-        names = re.findall(r"[^\s,;]+", value) if isinstance(value, str) else []
-        items = [f'"{name}"' for name in names] or [repr(value)] * isinstance(value, int | float)
+        items = items_of(value)
         return f"write ({', '.join(items)}{',' * (len(items) == 1)}), with the comma" if items else otherwise
 
     return cure
@@ -82,14 +97,12 @@ def _pairs(value: Any) -> Any:
 LIST, STRICT = BeforeValidator(_listed), Field(strict=True)
 REAL = BeforeValidator(partial(array_checks.number, ""))  # float() would also take a text
 DIFFERENT = expected(
-    'different names, as ("h",)', _tupled("write each once"), lambda names: 0 < len(names) == len(set(names))
+    'different names, as ("h",)',
+    _tupled(_names, "write each once, in quotes"),
+    lambda names: 0 < len(names) == len(set(names)),
 )
 IN_ORDER = expected("a range (low, high) with low <= high", "write both", lambda ends: ends[0] <= ends[1])
-IS_NAME = expected(
-    "a name that Python accepts",
-    "rename it",
-    lambda word: word.isidentifier() and not iskeyword(word) and not word.startswith("_"),
-)
+IS_NAME = expected("a name that Python accepts", "rename it", _is_name)
 IS_LINE = expected(
     f"up to {LONGEST} letters on one line, without $ and backslash",
     "shorten it",
@@ -101,8 +114,8 @@ Number = Annotated[float, REAL, expected("a number", "write one")]
 Finite = Annotated[float, REAL, expected("a finite number", "write one", math.isfinite)]
 Time = Annotated[Finite, expected("a time above 0", "write how long", lambda time: time > 0)]
 Delay = Annotated[Finite, expected("a time, 0 or more", "write how long", lambda time: time >= 0)]
-Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", _tupled("write a tuple"))]
-Delays = Annotated[tuple[Delay, ...], LIST, expected("the time of each input", _tupled("write a tuple"))]
+Values = Annotated[tuple[Finite, ...], LIST, expected("one number per state", _tupled(_number, "write numbers"))]
+Delays = Annotated[tuple[Delay, ...], LIST, expected("the time of each input", _tupled(_number, "write numbers"))]
 Range = Annotated[tuple[Number, Number], LIST, IN_ORDER]
 Bounds = Annotated[
     tuple[Range, ...], BeforeValidator(_pairs), expected("a pair (low, high) per input", "write ((0.0, 1.0),), say")

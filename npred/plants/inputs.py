@@ -108,8 +108,8 @@ def start(plant: Plant, u0: Given, limits: np.ndarray) -> Start:
     or "law".
 
     By default it is that of the plant's rest, which the first commands then do not disturb; of a plant without one, or
-    whose rest needs an input outside the limits (m, 2), it is 0. Where these do not allow 0 for every input, the target
-    of the law at t = 0 decides.
+    whose rest needs an input outside the limits (m, 2), it is 0. Where these do not allow 0 for every input, it is that
+    of the law at its target at t = 0, as for "equilibrium".
     Raises ConfigError for other words, a wrong count, values that are not finite or that lie outside the limits.
     """
     if callable(u0):

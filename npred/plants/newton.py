@@ -62,8 +62,9 @@ def search(
         moved, spent, arrived = _corrected(F, (1.0 - there) * start, z, units, min(TRIES, left))
         left -= spent
         if arrived:
-            z, s = moved, there
-        share *= 2.0 if arrived else 0.5
+            z, s, share = moved, there, 2 * share
+        else:
+            share = (there - s) / 2
     return z, s >= 1
 
 

@@ -49,7 +49,7 @@ def kernel(plant: Any) -> Kernel:
         what = "expected f and setpoint free of t and of the rest itself, got others"
         raise ConfigError(f"plant {plant.name}: setpoint {what}; declare reference(t, p, M), or drop setpoint")
     safe = [*trace.safe(z[:n], t)] if plant.declares_safe else []
-    safe = [] if programs.depends(safe, [t, *of_rest]) else safe  # such limits are none of a rest alone
+    safe = [limit for limit in safe if not programs.depends([limit], [t, *of_rest])]  # others are none of a rest alone
     slope = programs.derivative(g, z, trace.vector("v", n + m))
     state, along = vector("z", n + m, "1"), vector("v", n + m, "1")
     texts = {"SLOPE": formulas.function([*g, *slope], [state, along], {"y": n + m, "dy": n + m}, "1")}
@@ -59,7 +59,7 @@ def kernel(plant: Any) -> Kernel:
 
 
 class Rest(NamedTuple):
-    """X* and U* as z (n + m,), and the smallest limit of `safe` there, infinity without one."""
+    """X* and U* as z (n + m,), and the smallest limit of `safe` there: NaN if one is NaN, infinity without limits."""
 
     z: np.ndarray
     kept: float
@@ -142,8 +142,8 @@ def _nearly_held(plant: Any, p: np.ndarray, X: np.ndarray) -> np.ndarray:
 def changed(
     plant: Any, p: np.ndarray, values: Mapping[str, float], fixed: Mapping[str, str], limits: np.ndarray
 ) -> np.ndarray:
-    """The numbers p with other parameters, and with their rest, followed from the last one; says which limits of `safe`
-    that breaks.
+    """The numbers p with other parameters, and with their rest, followed from the last one; says the smallest limit of
+    `safe` there where it is broken.
 
     `fixed` says of those that cannot be set why. Raises ConfigError for such a one, for a value that is not finite, and
     where no rest follows that is within the limits of `bounds`.
@@ -169,7 +169,7 @@ def changed(
         what = f"expected a rest within its bounds for {shown}, {f'got {outside}' if outside else 'found none'}"
         raise ConfigError(f"set: {what}; the old set-point stays, {cure}")
     p[count:] = rest.z
-    if rest.kept < 0:
+    if not rest.kept >= 0:
         near = ", ".join(f"{name} = {value:.3g}" for name, value in values.items())  # so few that each can be said
         what = f"expected a rest where safe is at least 0, got {rest.kept:.2g}"
         say(f"set: {near}: {what}; choose another, or let npred.SafetyFilter keep off it")

@@ -60,16 +60,16 @@ def test_null_is_infinite_where_a_number_is_not_finite_and_nothing_where_there_i
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        ({"foreign": 1}, "foreign no such key, got 1; "),
-        ({"models": {"fno": SCORES | {"novel": 1}}}, "models.fno.novel no such key, got 1"),
-        ({"models": {"fno@late": SCORES}}, r"models.fno@late.\[key\] an epoch after @, got 'fno@late'"),
-        ({"models": {"fno": SCORES | {"map": MAP | {"share": "all"}}}}, "models.fno.map.share a number, got 'all'"),
-        ({"gain": [1.0]}, "gain "),
+        ({"foreign": 1}, " no foreign, got 1; "),
+        ({"models": {"fno": SCORES | {"novel": 1}}}, " no models.fno.novel, got 1"),
+        ({"models": {"fno@late": SCORES}}, r" at models.fno@late.\[key\] an epoch after @, got 'fno@late'"),
+        ({"models": {"fno": SCORES | {"map": MAP | {"share": "all"}}}}, " at models.fno.map.share a number, got 'all'"),
+        ({"gain": [1.0]}, " at gain "),
     ],
 )
 def test_what_does_not_fit_is_refused_in_one_line(tmp_path: Path, change: dict[str, Any], place: str):
     (tmp_path / "result.json").write_text(json.dumps(EVALUATED | change))
-    with pytest.raises(StoreError, match=rf"result.json: expected a result as this npred writes it, at {place}"):
+    with pytest.raises(StoreError, match=rf"result.json: expected a result as this npred writes it,{place}"):
         Evaluated.read(tmp_path)
 
 

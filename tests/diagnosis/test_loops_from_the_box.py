@@ -4,6 +4,7 @@ predictor is needed, and what a constant disturbance leaves.
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import npred
 from npred import diagnosis
 from npred.base.matrices import exponential
 from npred.cli import app
-from npred.diagnosis import Case, loops
+from npred.diagnosis import Case, disturbance, loops
 from npred.plants import Plant
 
 
@@ -232,9 +233,28 @@ def test_a_loop_that_leaves_every_bound_diverges_and_one_that_is_on_its_way_is_n
     pushed = loops.simulated(case, 0.3, np.zeros((1, 1)), disturbance=lambda t: [1.5])
     assert pushed.leaving.all() and not pushed.diverges.any() and pushed.fails.all()
     T, x = map(
-        float, re.fullmatch(r"all still move away after (\S+) s, x by then as far as (\S+)", pushed.text()).groups()
+        float,
+        re.fullmatch(r"all still move away after (\S+) s, x by then (\S+) from its target", pushed.text()).groups(),
     )
     assert x == pytest.approx(0.5 * T + np.log(1.5) + 0.5, abs=1.5)  # 0.5 faster than the command, once that is -1
+
+
+def test_the_state_that_is_farthest_from_its_target_is_named():
+    """In widths of the box: the angle is near its target, which is not 0."""
+    case, ends = Case(Plant("servo", Servo), 0.3, 101, 256), np.array([[0.9, -0.4], [1.1, 0.4]])[:, None]
+    fate = loops.Fate(np.array([np.inf]), np.array([False]), np.array([True]))
+    one = loops.Ensemble(case, 0.3, 1.0, fate, np.ones(1), np.zeros(1, bool), *ends, *ends, np.zeros((1, 2)))
+    assert one.text() == "all still move away after 1 s, speed by then 0.4 rad/s from its target"
+
+
+def test_loops_that_creep_to_where_they_were_are_not_moved(monkeypatch):
+    """They have not settled within what is simulated, but their rest is known."""
+    case = Case(Plant("servo", Servo), 0.3, 101, 256)
+    creeps = SimpleNamespace(fate=SimpleNamespace(settled=np.array([False])))
+    monkeypatch.setattr(disturbance, "_disturbed", lambda *_, **__: creeps)
+    monkeypatch.setattr(disturbance, "_rest", lambda *_: case.plant.equilibrium + 1e-4)
+    verdict, text, _ = disturbance.rejected(case)
+    assert verdict == "yes" and text.endswith(" leaves every state within 1 % of half the box")
 
 
 @pytest.mark.parametrize("name", ["transport_tank", "cart_pole"])

@@ -28,9 +28,10 @@ def case_of(plant, D):
 
 def referee(k, T_i, D, dt, t_end, push, smith=False, known=None):
     """∫ |e| dt by plain loops over the exact step of the lag; commands as in the docstring of npred.diagnosis.pi."""
-    a, late, known = np.exp(-dt), round(D / dt), round((known or D) / dt)
+    a, known = np.exp(-dt), round((known or D) / dt)
     x = model = 0.0
-    integral, total, sent, models = 0.0, 0.0, [0.0] * late, [0.0] * known
+    late, share = int(D / dt + 1e-9), max(D / dt - int(D / dt + 1e-9), 0.0)
+    integral, total, sent, models = 0.0, 0.0, [0.0] * (late + 1), [0.0] * known
     for _ in range(round(t_end / dt)):
         e = -x
         total += abs(e) * dt
@@ -41,14 +42,17 @@ def referee(k, T_i, D, dt, t_end, push, smith=False, known=None):
         U = min(max(free, -1.0), 3.0)
         integral += e * dt if free == U or k * e * (free - U) < 0 else 0.0
         sent.append(U)
-        x = a * x + (1 - a) * (sent[-1 - late] + push)
+        b = np.exp(-(1 - share) * dt)  # what of x is left after the newer command, which acts last
+        x = a * x + (1 - b) * sent[-1 - late] + (b - a) * sent[-2 - late] + (1 - a) * push
         model = a * model + (1 - a) * U
     return total
 
 
 @pytest.mark.parametrize("smith", [False, True])
-def test_the_rivals_are_those_of_the_equations(smith):
-    task = pi.task_of(case_of(lag(1.0), 1.0))
+@pytest.mark.parametrize("known", [0.15, 1.0])
+def test_the_rivals_are_those_of_the_equations(smith, known):
+    """Also where a delay is no whole number of control steps."""
+    task = pi.task_of(case_of(lag(1.0), known))
     D = pi.OFF * task.D
     found = pi.iae(task, np.full(3, 0.8), np.full(3, 1.5), smith, D)
     exact = [referee(0.8, 1.5, each, task.dt, task.t_end, task.push, smith, task.D) for each in D]
@@ -79,6 +83,14 @@ def test_a_slow_law_is_told_that_a_pi_does_better_and_a_fast_one_is_not():
     assert slow[2]["predictor"] > rival > fast[2]["predictor"] and slow[2]["PI"]["iae"] == pytest.approx(
         rival, rel=0.05
     )
+
+
+def test_no_loop_that_is_not_kept_is_a_good_answer(monkeypatch):
+    monkeypatch.setattr(pi, "predicted", lambda *_: (np.inf, 1.0))
+    monkeypatch.setattr(pi, "tuned", lambda *_: pi.RivalGains(1.0, 1.0, np.inf))
+    verdict, text, figures = pi.compared(case_of(lag(1.0), 1.0))
+    assert verdict == "warn" and "the predictor does not keep the loop" in text
+    assert figures["predictor"] is None and figures["PI"] == {"k": 1.0, "T_i": 1.0, "iae": None}
 
 
 def test_a_smith_predictor_keeps_no_unstable_plant_and_a_pi_hardly():

@@ -65,6 +65,11 @@ def test_a_mistake_is_one_answer_of_no_with_its_line_and_cure(tank_file, old, ne
     assert re.search(words, answer.text), answer.text
 
 
+def test_a_rest_beyond_a_bound_by_rounding_is_within_it(tank_file):
+    plant = plants.resolve(tank_file("guess =", "input_bounds = [(0.0, 0.5 - 1e-12)]\n    guess ="))
+    assert equilibrium.equilibrium(diagnosis.Case(plant, 1.0, 101, 64))[0] == "yes"
+
+
 def test_a_plant_without_a_V_is_offered_one(tank_file):
     """x' = -x about 1: V = (h - 1)² / 2 solves the Lyapunov equation; declared, it satisfies."""
     name = tank_file("    def V(x, t, p, M):\n        return (x.h - p.level) ** 2\n", "")

@@ -230,11 +230,12 @@ def test_what_a_safety_filter_did_is_that_of_python(instance, version):
 
 
 def test_before_the_first_sample_it_says_so(instance):
-    run = instance(turning)
+    run, oldest = instance(turning), UNICYCLE.time_text(turning()._oldest * DT)
     run.set("sample_age", -1.0)
     run.step(POSE)
     assert run.get("age") == -1.0 and run.messages == [
-        "step at 0 s: no sample so far that was not too old: the state is unknown; U keeps its value"
+        "step at 0 s: expected a sample that can be used, got none so far or since a long pause; give one with a "
+        f"sample_age of at most {oldest}; U keeps its value"
     ]
     for k, age in enumerate((np.inf, np.nan)):
         run.set("sample_age", age)

@@ -68,7 +68,32 @@ class Turned(Swing):
         return [x.w]
 
 
-MOVED, SENSED = (Stiff, Turned), (Sine, Walled)
+class Wider(Swing):
+    """Another box, from which an EKF has its numbers."""
+
+    box = {"q": (-2.0, 2.0), "v": (-1.0, 1.0)}
+
+
+class Elsewhere(Swing):
+    """Another guess."""
+
+    guess = (0.1, 0.0)
+
+
+class Weak(Swing):
+    """Other input bounds."""
+
+    input_bounds = ((-3.0, 3.0),)
+
+
+class Guarded(Swing):
+    """It has limits."""
+
+    def safe(x, t, p, M):
+        return [1.0 - x.q]
+
+
+MOVED, SENSED = (Stiff, Turned), (Sine, Walled, Wider, Elsewhere, Weak, Guarded)
 PLANT = npred.plant(Swing)
 NAMED = {"D_hat": 0.2, "actuator": "history"}
 

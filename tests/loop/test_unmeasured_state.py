@@ -1,11 +1,15 @@
 """An unknown delay of a plant whose state and offset are estimated from outputs: it is found, or that is said."""
 
+import ctypes
+
 import numpy as np
 import pytest
+from c_controllers import InC, library, needs_gcc
 
 import npred
 from npred import diagnosis
 from npred.base import progress
+from npred.base.errors import DivergedError
 from npred.estimation.observers import EKF, Luenberger
 
 
@@ -134,6 +138,44 @@ def test_an_observer_of_the_delay_does_not_begin_anew_with_that_of_the_state():
     for k in range(200):
         one.step([7.0 if k < 100 else 20.0])
     assert one.status.renewed > 0 and one.memory.observer[-6, 0] > 150  # samples that it has counted
+
+
+class Tanks:
+    """Two tanks in a row; the slope of a root at 0 is not finite."""
+
+    states, inputs, outputs, parameters = ("h", "g"), ("q",), ("level",), {"aim": 1.0}
+    box, guess, input_bounds = {"h": (0.1, 2.0), "g": (0.1, 2.0)}, (1.0, 1.0), ((0.0, 3.0),)
+
+    f = lambda x, u, t, p, M: [u.q - M.sqrt(x.h), M.sqrt(x.h) - M.sqrt(x.g)]
+    output = lambda x, t, p, M: [x.g]
+    setpoint = lambda x, t, p, M: [x.g - p.aim]
+
+
+@needs_gcc
+@pytest.mark.parametrize("kind", [EKF, Luenberger])
+def test_candidates_that_are_not_finite_start_anew_and_find_the_delay_in_c_too(kind, tmp_path):
+    """A sensor gives 0 at first."""
+    plant = npred.plant(Tanks, kappa="lqr")
+    law, heun = npred.DelayObserver(bounds=(0.1, 1.0)), npred.predictor(plant, "heun", nx=31)
+    one = npred.controller(plant, heun, law, 0.01, D_hat=0.5, observer=kind(plant, offset=True), u0="equilibrium")
+    X, sent, in_c = np.ones(2), [1.0] * 20, InC(library(one, tmp_path), plant)
+    in_c.library.npred_set_aim.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    for k in range(1200):
+        if k % 400 == 300:
+            aim = 1.4 if k % 800 == 300 else 1.0
+            one.set(aim=aim)
+            assert in_c.library.npred_set_aim(in_c.memory, aim) == 0
+        Y, U = [0.0 if k < 6 else X[1]], np.full(1, np.nan)
+        code = in_c.code(Y, out=U)
+        try:
+            sent += [*one.step(Y)]
+            assert code == 0 and U[0] == sent[-1]
+        except DivergedError:
+            sent.append(sent[-1])
+            assert code == 2 and k < 6
+        X = X + 0.01 * plant.f(X, [sent[-21]])
+    assert abs(one.D_hat - 0.2) < 0.03 and np.isfinite(one.memory.observer).all()
+    assert in_c.status(1).D_hat == one.D_hat
 
 
 class Slack(Neutral):

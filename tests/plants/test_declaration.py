@@ -110,7 +110,11 @@ def plant(**parts):
         ({"f": 3}, "f: expected a function, got 3"),
         ({"inputs": ("q")}, r"inputs: expected different names, .* got 'q'; write \(\"q\",\), with the comma"),
         ({"states": "h, v"}, r"states: expected different names, .* got 'h, v'; write \(\"h\", \"v\"\), with"),
+        ({"inputs": 3}, r"inputs: expected different names, .* got 3; write each once, in quotes"),
+        ({"inputs": "q q"}, r"inputs: expected different names, .* got 'q q'; write each once, in quotes"),
         ({"guess": 1}, r"guess: expected one number per state, got 1; write \(1,\), with the comma"),
+        ({"guess": "a"}, r"guess: expected one number per state, got 'a'; write numbers"),
+        ({"guess": True}, r"guess: expected one number per state, got True; write numbers"),
         ({"delays": 0.1}, r"delays: expected the time of each input, got 0.1; write \(0.1,\), with the comma"),
     ],
 )

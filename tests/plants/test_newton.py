@@ -41,6 +41,21 @@ def test_a_search_ends_within_its_bound_where_there_is_no_zero():
     assert not arrived and abs(z[0]) < 0.1 and len(calls) <= newton.CORRECTIONS + 1
 
 
+def test_no_step_that_failed_is_tried_twice(monkeypatch):
+    """F is z - 1, so z is s; in its second half only steps of a quarter come through."""
+    tried = []
+
+    def corrected(F, goal, z, *more):
+        there = 1.0 + goal[0]
+        tried.append((z[0], there))
+        arrives = there <= 0.5 or there - z[0] <= 0.25
+        return (np.array([there]), 1, True) if arrives else (z, 1, False)
+
+    monkeypatch.setattr(newton, "_corrected", corrected)
+    assert newton.search(lambda z: (z - 1.0, np.eye(1)), np.zeros(1), np.ones(1))[1]
+    assert tried == [(0.0, 1.0), (0.0, 0.5), (0.5, 1.0), (0.5, 0.75), (0.75, 1.0)]
+
+
 @pytest.mark.parametrize("rate", [0.0, 1e-9])
 def test_an_equation_that_nothing_moves_must_hold_already(rate):
     F = lambda z: (np.array([z[0] - 1.0, rate]), np.array([[1.0, 0.0], [0.0, 0.0]]))

@@ -221,6 +221,29 @@ def test_beyond_state_bounds_it_is_refused_and_beyond_safe_it_is_said(tmp_path, 
     in_fmu.close()
 
 
+class Divided(Walled):
+    """One limit is about the rest, one about the time; two are of the state, of which one is NaN above 1.6 m."""
+
+    def safe(x, t, p, M):
+        return [p.aim / p.rest_h - 0.5 * x.h / p.rest_h, 2.0 + t, 1.5 - x.h, M.sqrt(1.6 - x.h)]
+
+
+@needs_gcc
+@pytest.mark.parametrize(("aim", "got"), [(1.55, "-0.05"), (1.8, "nan")])
+def test_limits_that_depend_on_the_rest_or_the_time_leave_the_others(tmp_path, capsys, monkeypatch, aim, got):
+    monkeypatch.delenv("NPRED_QUIET", raising=False)
+    plant = npred.plant(Divided, kappa="lqr")
+    one = controller(plant)
+    in_c = InC(library(one, tmp_path), plant)
+    in_c.library.npred_set_aim.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    capsys.readouterr()
+    one.set(aim=aim)
+    assert f"expected a rest where safe is at least 0, got {got}; choose another" in capsys.readouterr().err
+    assert in_c.library.npred_set_aim(in_c.memory, aim) == 7
+    answers = {a.check: a for a in diagnosis.check(npred.plant(Divided, kappa="lqr", aim=aim), 0.2, samples=16)}
+    assert answers["equilibrium"].verdict == "warn" and "limit " in answers["equilibrium"].text
+
+
 @pytest.mark.parametrize(("aim", "verdict", "said"), [(1.2, "yes", "q = "), (1.8, "warn", "limit 1 of 2 = -0.3")])
 def test_the_check_of_a_plant_says_where_its_rest_is_not_safe(aim, verdict, said):
     answers = {a.check: a for a in diagnosis.check(npred.plant(Walled, kappa="lqr", aim=aim), 0.2, samples=16)}

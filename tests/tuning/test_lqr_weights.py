@@ -195,6 +195,8 @@ def test_where_all_weights_are_free_one_is_held_that_has_no_range_of_its_own():
     for free, bounds, held in (
         (["Q", "R"], {}, "R.G"),
         (["Q", "R"], {"R.G": (0.1, 1.0)}, "R.F"),
+        (["Q", "R"], {"R": (0.1, 1.0)}, "Q.v"),
+        (["Q", "R"], {"Q": (0.1, 1.0), "R": (0.1, 1.0)}, "R.G"),
         (names, dict.fromkeys(names, (0.1, 1.0)), "R.G"),
         (["R"], {}, ""),
         (["Q", "R.F"], {}, ""),

@@ -200,7 +200,7 @@ int npred_set_parameters(npred_controller *self, const npred_real *values)
     if (!fits) {
         return NPRED_SETPOINT_REFUSED;
     }
-    code = kept[0] < 0 ? NPRED_SETPOINT_UNSAFE : NPRED_OK;
+    code = kept[0] >= 0 ? NPRED_OK : NPRED_SETPOINT_UNSAFE; /* NaN is not kept */
 #endif
     memcpy(self->saved.p, p, sizeof p);
     return code;

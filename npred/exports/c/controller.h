@@ -93,7 +93,8 @@ typedef struct {
 
 #if READS_COMMANDS
 /* The result of the last call.
- * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that it may be taken for.
+ * D_hat: the estimate of the delay; D_hat_spread: half the range of the delays that it may be taken for, at a bound the
+ * whole range of the bounds.
  * at_bound: 1 if D_hat stands at a bound of its law: the delay may lie outside.
  * age: the age of the last sample that was used, infinity before the first.
  * innovation: the last sample minus the model's value.
@@ -130,7 +131,7 @@ int npred_set_parameters(npred_controller *self, const npred_real *values);
 #endif
 #if KEEPS_COMMANDS
 /* Tell the controller, before its first step, which U the actuator has had so far; npred_init assumes the one that is
- * named above. Returns NPRED_STATE_REFUSED if it is not finite, out of the bounds of U, or too late. */
+ * named above. Returns NPRED_STATE_REFUSED if it is not finite, out of the declared bounds, or too late. */
 int npred_set_u0(npred_controller *self, const npred_real *U);
 /* Tell the controller which U the actuator really got since the last step, if it was not the U that the step gave. */
 int npred_applied(npred_controller *self, const npred_real *U);

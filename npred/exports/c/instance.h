@@ -353,7 +353,8 @@ static const char *reason(int code)
     return code == NPRED_MEASUREMENT_NOT_FINITE  ? "expected finite inputs, got one that is not"
            : code == NPRED_PREDICTION_NOT_FINITE ? "the prediction from these inputs is not finite"
            : code == NPRED_STATE_REFUSED         ? "expected a finite sample_age, got another"
-           : code == NPRED_STATE_UNKNOWN         ? "no sample so far that was not too old: the state is unknown"
+           : code == NPRED_STATE_UNKNOWN         ? "expected a sample that can be used, got none so far or since a long pause; "
+                                                   "give one with a sample_age of at most " OLDEST
                                                  : "the delay is longer than the stored history of commands";
 }
 

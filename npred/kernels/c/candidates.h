@@ -249,7 +249,8 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
 
 /* Half the range of the delays of lane l that D_hat may be taken for, NaN before the first sample: of D_hat and the
  * candidates whose costs noise may make of the best one's, a quarter of their distance at least. What the memory was told
- * longer ago than it is long counts less and less: then the range goes to that of the bounds. */
+ * longer ago than it is long counts less and less: then the range goes to that of the bounds. Where D_hat stands at a
+ * bound, it is not half, but the whole range of the bounds. */
 SPARE static inline double undecided(Shape d, const double *law, double *memory, const double *D_hat, int l)
 {
     const Bank b = bank(d, law, memory);
@@ -271,7 +272,7 @@ SPARE static inline double undecided(Shape d, const double *law, double *memory,
         high = cost <= limit ? larger(high, thetas[i]) : high;
     }
     if (2.0 * larger(D_hat[l] - law[LOW], law[HIGH] - D_hat[l]) >= 2.0 * (law[HIGH] - law[LOW]) - spacing) {
-        return law[HIGH] - law[LOW]; /* at its bound D_hat says nothing of how far beyond it the delay is */
+        return law[HIGH] - law[LOW]; /* D_hat says nothing of how far beyond it the delay is */
     }
     half = 0.5 * larger(smaller(high, law[HIGH]) - larger(low, law[LOW]), 0.5 * spacing);
     old = larger(b.age[l] * law[LEAK] - 1.0, 0.0) / STALE;

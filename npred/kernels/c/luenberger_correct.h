@@ -1,6 +1,6 @@
 /* CORRECT_BY, of a Luenberger observer; its memory is that of luenberger_follow.h. What is measured takes the place of what
  * was expected, unless it is far from that: by its usual deviation, or by twice the last difference that was taken, so that
- * a right sample after a wrong one is. `spread` is 0 where it is far, else infinite. */
+ * a right sample after a wrong one is taken. `spread` is 0 where it is far, else infinite. */
 static inline void KERNEL(Shape d, const double *Y, double t, const double *p, double gate, const double *law,
                           double *memory, double *innovation, double *spread, double *work)
 {

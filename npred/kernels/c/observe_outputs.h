@@ -4,8 +4,9 @@
  * Each candidate of the delay has its own state x and offset d, which the commands, late by that delay, and the sample
  * move. They share the gain of one extended Kalman filter, that of the best candidate; `lead` is its memory. What is
  * compared are the differences of the sample and the outputs, in their standard deviations by that filter. One of more
- * than FAR counts as FAR. In `memory` stand (x, d) of all candidates, `lead`, then the Bank; in `law`, after the thetas,
- * the filter's settings and its memory at the start. */
+ * than FAR counts as FAR. Where the filter is not finite, the next step starts all of that anew. In `memory` stand (x, d)
+ * of all candidates, `lead`, then the Bank; in `law`, after the thetas, the filter's settings and its memory at the
+ * start. */
 #define FAR 6.0
 #define WHOLE (N + M) /* numbers of a candidate */
 #define SETTINGS (OUTPUTS + SIZE * SIZE)
@@ -33,7 +34,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
     const double *settings = law + NUMBERS + b.K * (M + 1), *start = settings + SETTINGS;
     double *lead = memory + b.K * WHOLE, *gains_of = lead + WHOLE + SIZE * SIZE, *cost = work;
     double gain[4], spread[OUTPUTS], e[OUTPUTS], v[M], Y[OUTPUTS], largest, came = NAN;
-    int best;
+    int best, finite = 1;
     if (isnan(b.gap[0])) {
         for (int c = 0; c < LEAD; c++) {
             lead[c] = c < WHOLE + SIZE * SIZE ? start[c] : 0.0;
@@ -53,6 +54,13 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
         v[c] = held[modulo(k - 1 - (INDEX)law[NUMBERS + best * M + c], d.rows) * M + c];
     }
     PART(_lead)(d, v, dt, X, t, p, settings, memory + best * WHOLE, lead, spread, work + b.K);
+    for (int c = 0; c < LEAD + OUTPUTS; c++) {
+        finite = finite && isfinite(c < LEAD ? lead[c] : spread[c - LEAD]);
+    }
+    if (!finite) {
+        b.gap[0] = NAN;
+        return;
+    }
     for (int c = 0; c < OUTPUTS; c++) {
         Y[c] = X[c] / spread[c];
         came = isnan(X[c]) ? came : 0.0;
@@ -60,7 +68,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
     gains(d, &b, 0, came, dt, law, gain);
     for (int i = 0; i < b.K; i++) {
         double *z = memory + i * WHOLE, out[N + OUTPUTS];
-        int finite = 1;
+        finite = 1;
         for (int c = 0; c < M; c++) {
             v[c] = held[modulo(k - 1 - (INDEX)law[NUMBERS + i * M + c], d.rows) * M + c] + z[N + c];
         }

@@ -6,7 +6,7 @@
  * so neither the unit of time nor those of the equations matter [Deuflhard, Newton Methods for Nonlinear Problems, 2011,
  * 2.1 and 5.1]. A step of s is halved where corrections do not halve, unless they are small, as next to a kink of f; it
  * is doubled where they do. *arrived is 1 where s came to 1 within CORRECTIONS, else 0; *kept is the smallest of SAFE
- * there, infinity where it has no LIMITS. */
+ * there, NaN where one is NaN, infinity where it has no LIMITS. */
 #define SIZE (N + M)
 #define CORRECTIONS 500 /* in all: what a call may cost */
 #define TRIES 50        /* for one s */
@@ -87,7 +87,7 @@ static inline int PART(_corrected)(const double *p, const double *start, double 
                                    int *spent)
 {
     double A[SIZE * SIZE], g[SIZE], v[SIZE], slope[SIZE], before = INFINITY;
-    for (int k = 0; k < TRIES && *spent < CORRECTIONS; k++, ++*spent) {
+    for (int k = 0; k < TRIES && *spent < CORRECTIONS; k++) {
         for (int j = 0; j < SIZE; j++) {
             for (int i = 0; i < SIZE; i++) {
                 v[i] = i == j ? units[i] : 0.0;
@@ -101,6 +101,7 @@ static inline int PART(_corrected)(const double *p, const double *start, double 
             g[i] -= left * start[i];
         }
         const double size = PART(_solve)(A, g, v);
+        ++*spent;
         const int halves = size <= 0.5 * before;
         if (!(size < INFINITY && (halves || size <= SMALL))) {
             return 0;
@@ -148,7 +149,7 @@ static inline void KERNEL(Shape d, const double *q, const double *p, const doubl
                 z[i] = next[i];
             }
             s = moved ? there : s;
-            share *= moved ? 2.0 : 0.5;
+            share = moved ? 2.0 * share : 0.5 * (there - s);
         }
     }
     *arrived = s < 1.0 ? 0.0 : 1.0;
@@ -157,7 +158,7 @@ static inline void KERNEL(Shape d, const double *q, const double *p, const doubl
     double limits[LIMITS];
     SAFE(z, p, limits);
     for (int k = 0; k < LIMITS; k++) {
-        *kept = smaller(*kept, limits[k]);
+        *kept = isnan(limits[k]) ? NAN : limits[k] < *kept ? limits[k] : *kept;
     }
 #endif
 }

@@ -101,11 +101,14 @@ def put(data: dict[str, Any], key: str, value: Any, what: str = "") -> None:
 
 
 def _sentence(error: ValidationError) -> str:
-    """The first fault of a pipeline: its key, what was expected there, and what came. A key that is unknown comes
-    first: what is below it was meant for another table, which may be faulty without it.
+    """The first fault of a pipeline: its key, what was expected there, and what came. An unknown key of the top level
+    comes first: what is below it was meant for another table, which may be faulty without it. In a value that may be of
+    several types, the deepest fault counts.
     """
     faults: list[Any] = error.errors()
     first = min(faults, key=lambda each: (each["type"], len(each["loc"])) != ("extra_forbidden", 1))
+    key = _key(first)
+    first = max((each for each in faults if _key(each) == key), key=lambda each: len(_path(each)))
     unknown, path = first["type"] == "extra_forbidden", _path(first)
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")
     where = json_files.escaped(where)
@@ -119,16 +122,16 @@ def _sentence(error: ValidationError) -> str:
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
     if first["type"] == "fault":
         return f"{where}: {first['msg']}"
-    if first["type"] == "missing":
-        return f"{where}: expected a value, got none; write it"
     if first["type"] == "value_error":  # which begins with a key; a dataclass names itself
         said = str(first["ctx"]["error"])
         above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
         return f"{above + '.' if above else ''}{said}"
-    said = [words.expected(each) for each in faults if _path(each)[: len(path)] == path]
-    kinds, came = " or ".join(dict.fromkeys(kind for kind, _ in said)), first["input"]
-    near = similar(str(came), re.findall(r"'(.*?)'", kinds)) or f"; {said[0][1]}"
-    return f"{where}: expected {kinds}, got {reprlib.repr(came)}{near}"
+    said = [words.expected(each) for each in faults if _path(each) == path]
+    kinds, cures = (list(dict.fromkeys(each)) for each in zip(*said, strict=True))
+    kinds, cure = " or ".join(kinds), cures[0] if len(cures) == 1 else "write one of these"
+    came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
+    near = similar(str(first["input"]), re.findall(r"'(.*?)'", kinds)) or f"; {cure}"
+    return f"{where}: expected {kinds}, got {came}{near}"
 
 
 def _path(error: Any) -> list[str | int]:
@@ -137,6 +140,14 @@ def _path(error: Any) -> list[str | int]:
     loc = [*error["loc"], *(error.get("ctx", {}).values() if unknown else ())]
     keys, key = (loc[:-1], loc[-1:]) if unknown else (loc, [])  # an unknown one may be anything
     return [part for part in keys if isinstance(part, int) or (part.isidentifier() and part != "float")] + key
+
+
+def _key(error: Any) -> list[str | int]:
+    """The key whose value an error is in, without the places in its lists."""
+    path = _path(error)
+    while path and isinstance(path[-1], int):
+        path.pop()
+    return path
 
 
 def _leaves(model: type = Pipeline, path: str = "") -> Iterator[str]:

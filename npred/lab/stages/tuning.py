@@ -190,7 +190,8 @@ class LqrWeights:
         if any(name not in table.free and name[0] not in table.free for name in self.present):
             return ""
         names = [*self.present]
-        return next((name for name in reversed(names) if name not in table.bounds), names[-1])
+        ranged = [name for name in names if name in table.bounds or name[0] in table.bounds]
+        return next((name for name in reversed(names) if name not in ranged), names[-1])
 
     def table(self, numbers: Mapping[str, float]) -> dict[str, Any]:
         """The kappa of a pipeline with these weights, and the present ones for the others."""

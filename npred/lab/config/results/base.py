@@ -72,9 +72,9 @@ class Result(BaseModel):
             first = error.errors()[0]
             key = json_files.escaped(".".join(str(part) for part in first["loc"]))
             came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
+            there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {words.expected(first)[0]}"
             raise StoreError(
-                f"{source}: expected a result as this npred writes it, at {key} {words.expected(first)[0]}, "
-                f"got {came}; make it anew with "
+                f"{source}: expected a result as this npred writes it, {there}, got {came}; make it anew with "
                 "npred run, or show it with the npred that wrote it"
             ) from None
 

@@ -64,7 +64,7 @@ def figure1(evaluation: EvaluationData) -> Figure:
         f"from X(0) = ({', '.join(f'{value:g}' for value in config.X0)}) with {delay}, run with each "
         f"predictor{limits.replace('inf', '∞')}. Grey and dotted: {'rest' if plant.rests else 'the reference'}, and "
         f"{'the delay there' if plant.declares_delay else 'the true delay'}. "
-        "A loop that does not converge may leave the picture."
+        "A loop that does not settle may leave the picture."
     )
     if near:
         caption += f" Lines that lie on each other differ from the numerical loop by at most: {near}."
@@ -83,7 +83,7 @@ def figure1_bounded(evaluation: EvaluationData) -> Figure | None:
 def _converging(evaluation: EvaluationData) -> list[PredictorId]:
     """The predictors whose loops a panel has to show whole: the numerical one, and all whose loop ends settled.
 
-    Others may leave the picture, so that the others can be distinguished.
+    A loop that does not settle may leave the picture, so that the others can be distinguished.
     """
     whole = []
     for predictor, loop in evaluation.loops.items():
