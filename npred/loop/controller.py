@@ -258,10 +258,11 @@ class Controller(InNotebook):
         """Set parameters of the plant, a set-point say, that the controller reads from the next step on.
 
         Where the plant declares `setpoint`, its rest X*, U* is followed from the last one, by at most 500 of Newton's
-        corrections, and where none is found, by 17 times as many at most for the message, which names another branch; a law of npred.laws then leads to it, with the gains of the set-point that was declared. In that
-        step U moves as in any other, and by the difference that the new set-point makes to kappa(P). One line says
-        where the rest breaks a limit of the plant's `safe`. `controller.plant` stays as it was declared; `state()` has
-        what was set, and an export begins with it.
+        corrections; where it is refused, up to 17 times as many look for another branch, which the message names. A law
+        of npred.laws then leads to it, with the gains of the set-point that was declared. In that step U moves as in
+        any other, and by the difference that the new set-point makes to kappa(P). One line says where the rest breaks
+        a limit of the plant's `safe`. `controller.plant` stays as it was declared; `state()` has what was set, and an
+        export begins with it.
 
         Parameters
         ----------
