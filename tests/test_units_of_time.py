@@ -18,7 +18,10 @@ UNITS = {"ms": 1000.0, "h": 1 / 3600}  # of them in a second
 PUSH = {"disturbance": {"amplitude": 0.1}}
 QUICK = ("activator_repressor", "scalar", "van_der_pol", "transport_tank")
 SHIPPED = [(name, unit) for name in QUICK for unit in UNITS]  # of those that take long to compile one unit, no decimal
-SHIPPED += [pytest.param(name, "h", marks=pytest.mark.slow) for name in plants.names() if name not in QUICK]
+LIKE_OTHERS = tuple(f"planar_arm{n}" for n in (3, 4, 5, 6))  # as the arms of 2 and of 7 joints
+SHIPPED += [
+    pytest.param(name, "h", marks=pytest.mark.slow) for name in plants.names() if name not in QUICK + LIKE_OTHERS
+]
 
 
 class Series:
