@@ -31,6 +31,7 @@ PLANTS = {"van_der_pol": (0.02, 0.4), "scalar": (0.02, 0.5), "cart_pole": (0.01,
           "activator_repressor": (0.02, 0.6), "unicycle": (0.02, 0.3)}  # fmt: skip
 STEPS = 150
 AGREE = 1e-9
+TAKEN = (0, 7)  # the codes of a set-point that is taken; 7 says that its rest breaks a limit
 
 
 class Bounded:
@@ -214,6 +215,7 @@ def by_controller(loop: dict[str, Any]) -> tuple[np.ndarray, dict[str, float], A
             at = None if row < 0 else t - plan.age[k] * loop["dt"]
             applied = last if lost is not None else None
             calls.append((t, X, at, applied, values))
+            refused = False
             try:
                 u = c.step(X, t=t, sampled_at=at, applied=applied).copy()
                 lost = u if plan.lost[k] else None
@@ -221,8 +223,8 @@ def by_controller(loop: dict[str, Any]) -> tuple[np.ndarray, dict[str, float], A
                     own.sent.append((plan.at[k], u))
                     last = u
             except DivergedError:
-                u, lost = c.memory.U[:, 0].copy(), None
-            calls[-1] += (u,)
+                u, lost, refused = c.memory.U[:, 0].copy(), None, True
+            calls[-1] += (u, refused)
         U.append(u)
     status = c.status
     return np.array(U), {"late": status.late, "refused": status.refused}, start, calls
@@ -245,18 +247,21 @@ def by_c(controller: Any, calls: list[tuple[Any, ...]]) -> float:
     memory, worst = ctypes.create_string_buffer(library.size()), 0.0
     library.npred_init(memory)
     U, number = np.zeros(controller.plant.m), ctypes.c_double
-    for t, X, at, applied, values, expected in calls:
+    for t, X, at, applied, values, expected, refused in calls:
         for name, value in values.items():
-            getattr(library, f"npred_set_{name}")(memory, number(value))
+            if getattr(library, f"npred_set_{name}")(memory, number(value)) not in TAKEN:
+                return math.inf
         if applied is not None:
             library.npred_applied(memory, np.ascontiguousarray(applied).ctypes.data_as(ctypes.c_void_p))
         sample = None if X is None else np.ascontiguousarray(X).ctypes.data_as(ctypes.c_void_p)
         code = library.npred_step_at(
             memory, number(t), sample, number(t if at is None else at), U.ctypes.data_as(ctypes.c_void_p)
         )
-        if code == 0:
+        if (code == 0) == refused:
+            return math.inf
+        if not refused:
             worst = max(worst, float(np.abs(U - expected).max()))
-    return worst
+    return worst if math.isfinite(worst) else math.inf
 
 
 def compared(loop: dict[str, Any], ways: list[str]) -> Iterator[tuple[str, float]]:
