@@ -21,6 +21,7 @@ from npred.diagnosis import disturbance, loops
 from npred.diagnosis.case import Case, Verdict
 from npred.estimation.observers import EKF
 from npred.formulas import array_math
+from npred.loop.timing import ROUNDING
 from npred.plants import speed
 from npred.plants.base import Plant
 
@@ -33,7 +34,6 @@ FINER = (2.0, 1.35, 1.12)  # the factors by which the best gains are varied
 KEPT = 0.3  # of the largest |e|: a loop that ends farther off is not kept
 FASTER = (1.0, 10.0, 100.0)  # times the default spectral density of the offset
 WAYS = 5  # of each of the two, in a refinement
-ROUNDING = 1e-9  # control steps: a delay this close to whole steps has them
 WORSE = 1.02  # times the rival's IAE: the predictor is no better
 
 
