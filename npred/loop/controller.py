@@ -395,7 +395,7 @@ class Controller(InNotebook):
             if not came or not np.isfinite(self._Y).all():
                 got = "one that is not" if came else "none"
                 raise DivergedError(f"step: expected a finite first X, for u0 is kappa of it, got {got}; {HELD}")
-            before = self.state()
+            before = self._remembered()
             past = self._past(self._Y)
             _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
             self._reset_clock()
@@ -416,7 +416,11 @@ class Controller(InNotebook):
 
     def state(self) -> dict[str, Any]:
         """Its state, ready for JSON: D_hat, phi of the last step, the steps done since t0, and, as it has
-        them, commands, observers and parameters."""
+        them, commands, observers and parameters; and of which plant it is."""
+        return {"plant": self._formulas} | self._remembered()
+
+    def _remembered(self) -> dict[str, Any]:
+        """Its state without the digest of the plant, which takes as long to make as a short loop."""
         z = self.memory
         phi = float(z.phi_before[0])
         remembered: dict[str, Any] = {}
@@ -435,7 +439,7 @@ class Controller(InNotebook):
             remembered["parameters"] = self._numbers
         rate = None if math.isnan(phi) else phi
         start = {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0}
-        return {"plant": self._formulas} | start | remembered
+        return start | remembered
 
     @cached_property
     def _formulas(self) -> str:
@@ -449,9 +453,9 @@ class Controller(InNotebook):
             phi, t0 = state.get("phi"), state.get("t0", 0.0)
         except (AttributeError, KeyError, TypeError, ValueError):
             raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
-        if state.get("plant", self._formulas) != self._formulas:
+        if "plant" in state and state["plant"] != self._formulas:
             raise ConfigError(f"state: expected one of plant {self.plant.name}, got another's; restore it there")
-        before = self.state()
+        before = self._remembered()
         self._recall(state)
         try:
             self._set_state(D_hat, phi, step, t0)
@@ -659,7 +663,7 @@ class Controller(InNotebook):
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
-        state = self.state()
+        state = self._remembered()
         self._engine.call(self.t, 1.0, True, 0.0)
         self.restore(state)
         self.memory.innovation[:] = self.memory.error[:] = np.nan
