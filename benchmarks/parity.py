@@ -223,7 +223,7 @@ def by_controller(loop: dict[str, Any]) -> tuple[np.ndarray, dict[str, float], A
                     own.sent.append((plan.at[k], u))
                     last = u
             except DivergedError:
-                u, lost, refused = c.memory.U[:, 0].copy(), None, True
+                u, lost, refused = c.memory.signals.U[:, 0].copy(), None, True
             calls[-1] += (u, refused)
         U.append(u)
     status = c.status

@@ -123,6 +123,6 @@ def settling(name, kind):
     hidden = [i for i, state in enumerate(plant.states) if one.observer and state not in one.outputs]
     for i, sign in itertools.product(hidden, (-1, 1)):
         loop = Loop(controller(name, kind)).run(1.0)
-        loop.one.memory.filter[i] += sign * np.ptp(ends[i]) / 2
+        loop.one.memory.signals.filter[i] += sign * np.ptp(ends[i]) / 2
         times.append(loop.run(6.0).settled(1.0))
     return max(times)

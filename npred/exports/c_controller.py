@@ -27,11 +27,6 @@ ON_BOUND = {"float": 1e-5, "double": setpoint.ROUNDING}  # of a state's or an in
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
 TAKEN = ("state", "D_hat", "time", "parameters", "one", "u0")  # what other functions of the header are called by
-# The settings that a step reads
-NUMBERS = ("dt", "b", "gate", "gamma_dt", "oldest", "after", "uncertain")
-FLAGS = "reads_commands stores_commands gated offsets watched holds judges_outputs pulls"
-COUNTS = "observer_count output_count end_count filter_count"
-ARRAYS = "bounds input_bounds p ratios law guard reach sensing rescue jump safety anew widens"
 
 
 def sources(
@@ -75,7 +70,7 @@ def sources(
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
     sizes = _sizes(controller, kernels, variants)
-    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "controller.h"))]
+    loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     included = {
@@ -110,7 +105,7 @@ def export(of: WholeController, path: Path, *, name: str, precision: str) -> Exp
 def D_hat_bounds(controller: Controller) -> tuple[float, float]:
     """The smallest and the largest D_hat that the controller in C takes; infinity for no limit."""
     low, high = controller.settings.bounds.tolist()
-    return low, min(high, controller.longest_D_hat) if controller.settings.reads_commands else high
+    return low, min(high, controller.memory.longest_D_hat) if controller.settings.reads_commands else high
 
 
 def settable(controller: Controller) -> dict[str, float]:
@@ -133,7 +128,7 @@ def digest(header: str) -> str:
 
 def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]) -> dict[str, int]:
     """The sizes of the C structs' arrays, by their names."""
-    z, settings, nx = controller.memory, controller.settings, controller.predictor.nx
+    z, settings, nx = controller.memory.signals, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
     sizes |= {"N_OUTPUTS": len(controller.outputs)}
     sizes |= {"ROWS": len(z.held), "CLOCK": len(z.clock)} if variants["KEEPS_COMMANDS"] else {}
@@ -162,15 +157,17 @@ def _settings(
     numbers |= {"D_HAT_HIGH": high if np.isfinite(high) else largest}
     numbers |= {"PERIOD": controller.plant.period} if controller.plant.period else {}
     settings = controller.settings
-    arrays = {name: np.ravel(getattr(settings, name)).astype(float) for name in ARRAYS.split()}
-    start = controller.fresh().memory
+    controls = {s.name: (s, getattr(settings, s.name)) for s in signals.CONTROLS}
+    arrays = {name: np.ravel(a).astype(float) for name, (s, a) in controls.items() if s.axes is not None}
+    start = controller.fresh().memory.signals
     if controller.keeps_commands:
         limits = np.ravel(controller.loop.input_bounds)
         arrays |= {"u0": controller.u0, "u0_bounds": limits, "clock": start.clock[:, 0]}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
-    values = {name: literal(getattr(settings, name), real) for name in NUMBERS}
-    values |= {name: str(int(getattr(settings, name))) for name in f"{FLAGS} {COUNTS}".split()}
-    values |= {name: f"({real} *)the_{name}" for name in ARRAYS.split()}
+    values = {name: f"({real} *)the_{name}" for name in arrays}
+    for name, (s, value) in controls.items():
+        if s.axes is None:
+            values[name] = literal(value, real) if s.kind == "float64" else str(int(value))
     shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
     lines += [constant(f"the_{name}", a if a.size else np.zeros(1), real) for name, a in arrays.items()]

@@ -371,7 +371,7 @@ def _header(controller: Controller, listed: Sequence[Variable], name: str, token
         f'#define TOKEN "{token}"',
         f"#define STEP {controller.dt!r}",
         f"#define TIME_UNIT {json.dumps(controller.plant.time_unit.replace('%', ''))} /* of STEP and all times */",
-        f"#define OLDEST {json.dumps(controller.plant.time_text(controller._oldest * controller.dt))}",
+        f"#define OLDEST {json.dumps(controller.plant.time_text(controller.memory.oldest * controller.dt))}",
         f"#define GUARD_PASSES {PASSES!r}",
         f"#define VARIABLES {len(listed)}",
         f"#define VALUES {ends[-1]}",

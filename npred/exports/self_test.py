@@ -111,7 +111,7 @@ class _Player:
             return twin.step(X, u, other if does & STAMPED else None)
         if not does & STAMPED:
             return twin.step(X)
-        applied = 0.5 * twin.memory.U[:, 0] if does & APPLIED else None
+        applied = 0.5 * twin.memory.signals.U[:, 0] if does & APPLIED else None
         return twin.step(X, t=t, sampled_at=taken, applied=applied) if does & SAMPLED else twin.step(t=t)
 
 
@@ -129,7 +129,7 @@ def _at_the_gate(twin: Controller, s: int, t: float, Y: np.ndarray, share: float
 
     def believed(off: float) -> bool:
         tried(np.where(np.arange(len(Y)) == one, expected + off, expected))
-        return int(scout.memory.fate[one, 0]) == USED if scout.observer else scout.status.age == 0.0
+        return int(scout.memory.signals.fate[one, 0]) == USED if scout.observer else scout.status.age == 0.0
 
     try:
         expected = Y - tried(Y).status.innovation
@@ -191,8 +191,8 @@ class _World:
 
 def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:
     """The event, how many control steps after the call before, and how many a sample is old."""
-    rows, d = len(controller.memory.held), max(controller.D_hat / controller.dt, 1.0)
-    waits, oldest = controller.watchdog.after / controller.dt if controller.watchdog else 4.0, controller._oldest
+    rows, d = len(controller.memory.signals.held), max(controller.D_hat / controller.dt, 1.0)
+    waits, oldest = controller.watchdog.after / controller.dt if controller.watchdog else 4.0, controller.memory.oldest
     now = ("now", 1.0, 0.0)
     yield from 10 * [("plain", 1.0, 0.0)]
     for part in 6 * [0.25, 0.0, 0.75, 0.0]:  # three times the delay

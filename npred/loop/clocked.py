@@ -15,14 +15,13 @@ import numpy as np
 
 from npred.base import devices
 from npred.base.errors import ConfigError
-from npred.loop import measurement as sensing
-from npred.loop import settable, signals
-from npred.loop.controller import OLDEST, Controller
+from npred.loop import assembly, settable, signals, status
 from npred.loop.engine import Engine
 from npred.loop.loop import Loop
+from npred.loop.memory import Memory
 from npred.loop.signals import Events, Record
 from npred.loop.simulation import Simulation
-from npred.loop.timing import Timing, schedule
+from npred.loop.timing import ROUNDING, Timing, schedule
 from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 from npred.plants.base import Plant
@@ -32,7 +31,6 @@ ON_A_CLOCK = {  # parts that need a real clock, and the cure if there is none
     "observer": "step npred.controller with it, or give measurement=npred.Measurement(observer=a function of yours)",
     "watchdog": "step npred.controller with it",
 }
-SPARE = 4  # control steps that a sample may come later than the delay of the samples
 
 
 def check(loop: Loop) -> None:
@@ -41,7 +39,7 @@ def check(loop: Loop) -> None:
         raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {loop.actuator!r}; give it')
     if loop.predictor is None:
         raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
-    serves(loop.plant, next(name for name in ON_A_CLOCK if getattr(loop, name) is not None))
+    serves(loop.plant, next((name for name in ON_A_CLOCK if getattr(loop, name) is not None), "timing"))
     if loop.measurement.observer is not None:
         raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
 
@@ -54,7 +52,12 @@ def serves(plant: Plant, part: str = "timing") -> None:
 
 
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:
-    """All loops of a simulation."""
+    """All loops of a simulation. Raises ConfigError where the controller uses none of the samples, they are so old."""
+    loop, age = simulation.loop, assembly.oldest(simulation.loop) * simulation.loop.dt
+    if loop.measurement.delay > age * (1 + ROUNDING):
+        late, most = map(loop.plant.time_text, (loop.measurement.delay, age))
+        what = f"expected at least the delay of the samples, {late}, else none is used, got {most}"
+        raise ConfigError(f"max_sample_age: {what}; give max_sample_age = {loop.measurement.delay:g} or more")
 
     def one(number: int) -> tuple[Record, OnAClock]:
         result = run_one(simulation, number)
@@ -64,7 +67,7 @@ def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[
 
     first = one(0)  # which compiles
     with devices.one_thread(), ThreadPoolExecutor(os.cpu_count() if simulation.compiled else 1) as pool:
-        results = [first, *pool.map(one, range(1, len(simulation.loop.D)))]
+        results = [first, *pool.map(one, range(1, len(loop.D)))]
     clock = each(lambda *arrays: np.stack(arrays), *(clock for _, clock in results))
     return signals.joined(record for record, _ in results), clock
 
@@ -72,26 +75,15 @@ def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[
 def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
     """The loop of that number in the batch."""
     of, plant, D, delays = (
-        simulation.loop,
-        simulation.loop.plant,
-        simulation.loop.D[number],
-        simulation.delays[:, number],
-    )
-    samples, past = simulation.samples[number], simulation.past.of(slice(number, number + 1))
-    one, pushes = _controller(of, float(of.D_hat[number]), past), np.zeros(0)
-    if simulation.pushes.size:
-        pushes = simulation.pushes[..., min(number, simulation.pushes.shape[2] - 1)]
-    settings = one.settings._replace(
-        every=simulation.every, row_count=simulation.rows, sample_count=len(samples),
-        samples=np.ascontiguousarray(samples, dtype=np.int64), truth_p=of.real.p.copy(),
-        tabulates=int(delays.size > 0), delays=np.ascontiguousarray(delays[:, None] * plant.ratios),
-        disturbed=int(pushes.size > 0), disturbance=np.ascontiguousarray(pushes),
-        **sensing.settings(of.measurement, of.dt, number, len(one.outputs)),
+        simulation.loop, simulation.loop.plant, simulation.loop.D[number], simulation.delays[:, number]
     )  # fmt: skip
-    z = one.memory._replace(X=np.array(of.X0[number])[:, None], D=(plant.ratios * D)[:, None])
-    events = _events(simulation, number, len(one.outputs), past)
-    out = simulation.record(1, len(samples))
-    parts = one.parts | {"advance": simulation.parts["advance"], "output": of.observer and of.observer.measure()}
+    only = slice(number, number + 1)
+    past, settings = simulation.past.of(only), simulation.settings(only)
+    memory = Memory(replace(of, D_hat=float(simulation.D_hat[number])), simulation.law, settings, past)
+    z = memory.signals._replace(X=np.array(of.X0[number])[:, None], D=(plant.ratios * D)[:, None])
+    events = _events(simulation, number, settings.output_count, past)
+    out = simulation.record(1, simulation.samples.shape[1])
+    parts = simulation.parts | {"output": of.observer and of.observer.measure()}
     steps = Engine(parts, settings, z, out, events)
     for start, stop in pairwise(sorted({0, simulation.count, *simulation.begins})):
         simulation.begin(start, settings)
@@ -104,26 +96,13 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
     for goal in np.unique(u_star, axis=0):
         chosen = (u_star == goal).all(axis=1)
         out.energy[chosen, 0] = _energy(of, rows[chosen], spans[chosen], events, goal)
-    status = one.status
-    out.D_hat_spread[:] = status.D_hat_spread
+    said = status.of(memory)
+    out.D_hat_spread[:] = said.D_hat_spread
     return out, OnAClock(
         X_hat=events.X_hat[..., 0], age=events.age_then[:, 0], handed_over=events.handed_over[:, 0].astype(bool),
         skipped=events.skipped.sum(), lost=(events.lost & ~events.skipped.astype(bool)).sum(),
-        refusals=events.refusals[0], late=np.array(status.late), refused=np.array(status.refused), offset=status.offset,
+        refusals=events.refusals[0], late=np.array(said.late), refused=np.array(said.refused), offset=said.offset,
     )  # fmt: skip
-
-
-def _controller(of: Loop, D_hat: float, past: inputs.Past) -> Controller:
-    """The controller with the commands before t = 0."""
-    law, age = of.adaptation, of.max_sample_age
-    if age is None:
-        age = max(OLDEST * of.dt, of.measurement.delay + SPARE * of.dt)
-    u0: Any = past.held[0]
-    if past.course is not None:
-        reach = max(D_hat, law.bounds[1] if law and law.bounds else 0.0) + age
-        rows = past.steps(math.ceil(reach / of.dt) + SPARE, of.dt)[:, :, 0]
-        u0 = lambda t: rows[max(math.floor(t / of.dt) + len(rows), 0)]  # noqa: E731
-    return Controller(replace(of, D_hat=D_hat, u0=u0, max_sample_age=age))
 
 
 def _events(simulation: Simulation, number: int, outputs: int, past: inputs.Past) -> Events:

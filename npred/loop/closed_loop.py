@@ -143,10 +143,11 @@ def run(
     steps = loop_checks.samples(samples, shape, round(t_end / dt))
     method, limits = loop_checks.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
-    complete = replace(loop, D=D, D_hat=D_hat, X0=X0, adaptation=law, input_bounds=limits)
+    given = D_hat if loop.blind or not plant.declares_delay else None
+    complete = replace(loop, D=D, D_hat=given, X0=X0, adaptation=law, input_bounds=limits)
     if loop.setpoints and loop.predictor is None:
         raise ConfigError("setpoints: expected a predictor, for U = 0 leads nowhere, got None; give one, or drop them")
-    one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, loop.blind, past, steps, delays)
+    one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, D_hat, past, steps, delays)
     loop_checks.history(plant, one.reach(slice(None))[1], dt)
     with quiet() if progress is False else nullcontext():
         engine.prepare(one.parts)

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import operator
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -16,24 +15,18 @@ from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, DivergedError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import say
-from npred.estimation.delay_law import Adaptation, DelayLaw, Part, part
-from npred.estimation.observers.base import SIGMAS
-from npred.loop import control_step, engine, loop_checks, settable, signals
-from npred.loop.actuator import history
-from npred.loop.clock import Clock
+from npred.estimation.delay_law import Adaptation, DelayLaw
+from npred.loop import assembly, control_step, engine, status
 from npred.loop.engine import Engine
 from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
+from npred.loop.memory import Memory
 from npred.loop.status import Status
-from npred.loop.timing import ROUNDING, SNAP, snapped
+from npred.loop.timing import SNAP, snapped
 from npred.plants import inputs, setpoint
 from npred.plants.base import Plant
-from npred.prediction.delays import problem_of
-from npred.prediction.methods import RK4, Predictor
+from npred.prediction.methods import Predictor
 
 HELD = "keep the actuator at the last U and pass the next sample"
-DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
-OLDEST = 20  # control steps, by default the largest age of a sample
-STEPS = 2**53  # beyond it a float64, as step * dt is one, no longer counts one by one
 
 
 def controller(
@@ -96,7 +89,7 @@ class Controller(InNotebook):
     D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
-    `max_sample_age` ago (20 control steps by default): X_hat is the model's state from the last sample on.
+    `max_sample_age` ago (100 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
     accepts an output within 6 `outlier_limit` standard deviations (EKF), or `outlier_limit` half ranges (Luenberger),
     and restarts if it refused one for a time of D_hat. `watchdog` gives U if no sample comes (npred.Watchdog).
@@ -106,8 +99,8 @@ class Controller(InNotebook):
     """
 
     def __init__(self, loop: Loop) -> None:
-        plant, predictor, law = loop.plant, loop.predictor, loop.adaptation
-        loop_checks.parts(loop)
+        plant, predictor = loop.plant, loop.predictor
+        assembly.check(loop)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
         if not 0 < (dt := array_checks.number("dt", loop.dt)) < math.inf:
@@ -116,103 +109,32 @@ class Controller(InNotebook):
         if gate is not None and not 0 < gate < math.inf:
             what = "expected a number above 0, or None for no limit"
             raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
-        if loop.safety is not None:
-            loop.safety.check(plant)
-        if not loop.reads_commands:
-            wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
-            for name in ("max_sample_age", "observer", "watchdog", "safety"):
-                if getattr(loop, name) is not None:
-                    raise ConfigError(f"{name}: {wrong}, or no {name}")
-        age = OLDEST * dt if loop.max_sample_age is None else array_checks.number("max_sample_age", loop.max_sample_age)
-        if not 0 <= age < math.inf:
-            what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
-            raise ConfigError(f"max_sample_age: {what}; give a time")
-        self._oldest = math.floor(age / dt * (1 + 1e-12)) if loop.reads_commands else 0  # in control steps
-        law, D_hat = self._first_estimate(loop)
+        law, D_hat = assembly.first_estimate(loop)
         limits = inputs.bounds(plant, loop.input_bounds)
         u0 = inputs.start(plant, loop.u0, limits)
-        self._loop = replace(loop, dt=dt, adaptation=law, input_bounds=limits, u0=u0, outlier_limit=gate)
+        self._loop = loop = replace(
+            loop, dt=dt, adaptation=law, D_hat=D_hat, input_bounds=limits, u0=u0, outlier_limit=gate
+        )
         self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
         self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
-        kernels = part(plant, law, dt, loop.observer)
-        self._reads_commands, self._watches = loop.reads_commands, kernels.memory > 1
-        self.keeps_commands = self._reads_commands or self._watches  # a step reads the commands of those before it
-        self._by_law = isinstance(u0, str) and u0 == inputs.LAW
-        self.parts, self.settings = self._kernels(kernels), self._set(kernels)
-        array_checks.within(
-            "D_hat", np.array(array_checks.number("D_hat", D_hat)), tuple(kernels.bounds), plant.time_unit
-        )
+        self._reads_commands, self._by_law = loop.reads_commands, isinstance(u0, str) and u0 == inputs.LAW
+        laws = assembly.law(loop)
+        self.parts, self.settings = assembly.kernels(loop, laws), assembly.settings(loop, laws)
+        if D_hat is not None:
+            array_checks.within("D_hat", np.array(D_hat), tuple(laws.bounds), plant.time_unit)
         if not plant.declares_delay:
             longest = D_hat if law is None else law.bounds[1]
             if law is not None:
                 control_step.check("dt", dt, longest)
             if text := control_step.doubt("dt", dt, longest, plant, law is not None):
                 say(text)
-        self._first_D_hat, self._awaits_X = D_hat, False
-        self._take_memory(kernels.memory, D_hat)
-        self._set_state(D_hat, None, 0, 0.0)
-        self._reset_clock()
+        self._last_U, self._last_P = np.zeros(plant.m), np.full((predictor.nx, plant.n), np.nan)
+        self.memory = Memory(loop, laws, self.settings, self._past(np.zeros(plant.n)))
+        self.keeps_commands = self.memory.keeps_commands
+        self._awaits_X = False
+        self._view()
         self._warm_up()
         self._awaits_X = self._by_law  # for the commands before the first step
-
-    @staticmethod
-    def _first_estimate(loop: Loop) -> tuple[DelayLaw | None, float]:
-        """The law, complete, for a delay of D_hat or else of the middle of its bounds; and the first D_hat."""
-        plant, law, D_hat = loop.plant, loop.adaptation, loop.D_hat
-        if law is not None:
-            if D_hat is None and law.bounds is None:
-                what = "expected a first estimate, for the law has no bounds, got none"
-                raise ConfigError(f"D_hat: {what}; give D_hat")
-            D = np.array(array_checks.number("D_hat", sum(law.bounds) / 2 if D_hat is None else D_hat))
-            array_checks.delays("D_hat", D)
-            law = law.suited(plant, D, D)
-        elif D_hat is None and not plant.declares_delay:
-            what = f"expected a delay in {plant.time_unit}, for nothing adapts it, got none"
-            raise ConfigError(f"D_hat: {what}; give D_hat")
-        if D_hat is None:
-            D_hat = 0.0 if law is None or plant.declares_delay else sum(law.bounds) / 2
-        return law, D_hat
-
-    def _kernels(self, law: Part) -> dict[str, Any]:
-        observer, watchdog = self.observer, self.watchdog
-        return {
-            "observe": law.observe, "model_delay": problem_of(self.plant).horizon(), "predict": self.predictor.lanes(),
-            "guard": self.predictor.guard, "control": law.control, "update": law.update,
-            "model": engine.advance_kernel(self.plant, RK4) if self._reads_commands else None,
-            "follow": observer and observer.follow, "correct": observer and observer.correct,
-            "watchdog_law": watchdog and watchdog.law(self.plant),
-            "protect": self.safety and self.safety.kernel(self.plant),
-        }  # fmt: skip
-
-    def _set(self, law: Part) -> signals.Settings:
-        plant, observer, watchdog, gate = self.plant, self.observer, self.watchdog, self.outlier_limit
-        limits, guard = self._loop.input_bounds, self.predictor.settings
-        low, high = box = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T  # zeros for no range
-        parts: dict[str, Any] = {"anew": box.mean(axis=0)}
-        if observer:
-            memory, widens = observer.anew()
-            parts |= {
-                "sensing": observer.settings, "judges_outputs": self._watches,
-                "pulls": observer.pulls, "offsets": observer.offset,
-                "filter_count": len(memory), "anew": memory, "widens": widens,
-            }  # fmt: skip
-        if watchdog:
-            parts |= {
-                "watched": True, "after": watchdog.after, "holds": watchdog.holds, "rescue": watchdog.rescue(plant.m),
-                "jump": watchdog.jumps(plant.m),
-            }  # fmt: skip
-        if self.safety:
-            parts |= self.safety.settings(self.plant, self.dt, limits)
-        return signals.settings(
-            dt=self.dt, b=law.b, gamma_dt=law.gamma * self.dt,
-            reads_commands=self._reads_commands, stores_commands=self._reads_commands,
-            gate=(gate or 1.0) * (SIGMAS if observer else 1.0), gated=self._reads_commands and gate is not None,
-            observer_count=law.memory if self._watches else 0, oldest=float(self._oldest),
-            output_count=len(self.outputs), bounds=law.bounds, p=plant.p.copy(), truth_p=plant.p, ratios=plant.ratios,
-            input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float), law=law.settings,
-            guard=np.zeros(0) if guard is None else guard,
-            reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), **parts,
-        )  # fmt: skip
 
     @property
     def D_hat(self) -> float:
@@ -220,11 +142,11 @@ class Controller(InNotebook):
 
         D_hat goes on from there as from a first step, without phi of the last one.
         """
-        return float(self.memory.D_hat[0])
+        return self.memory.D_hat
 
     @D_hat.setter
     def D_hat(self, seconds: float) -> None:
-        self._set_state(seconds, None, self._step, self._t0)
+        self.memory.set(seconds, None, self.memory.step, self.memory.t0)
 
     @property
     def t(self) -> float:
@@ -232,23 +154,23 @@ class Controller(InNotebook):
 
         Each step adds dt. Set it to go on from another time, finite, else ConfigError, as from a first step.
         """
-        return self._t0 + self._step * self.dt
+        return self.memory.t
 
     @t.setter
     def t(self, seconds: float) -> None:
-        self._set_state(self.D_hat, None, 0, seconds)
-        self._clock.forget()
-        self.memory.missed[0] = 0.0
+        self.memory.set(self.D_hat, None, 0, seconds)
+        self.memory.clock.forget()
+        self.memory.signals.missed[0] = 0.0
 
     @property
     def parameters(self) -> dict[str, float]:
         """The plant's parameters as the next step reads them, a copy; see `set`."""
         return dict(zip(self.plant.parameters, self.settings.p.tolist(), strict=False))
 
-    @cached_property
+    @property
     def fixed(self) -> dict[str, str]:
         """Why a parameter cannot be set, by its name."""
-        return settable.fixed(self.plant, self.predictor)
+        return self.memory.fixed
 
     @cached_property
     def _rest_bounds(self) -> np.ndarray:
@@ -292,42 +214,19 @@ class Controller(InNotebook):
         return inputs.before(self.plant, self._loop.u0, self._loop.input_bounds, np.zeros((1, self.plant.n)))[0]
 
     @property
-    def reach(self) -> float:
-        """How far back its commands are kept."""
-        return (len(self.memory.held) - 4 - self._oldest) * self.dt
-
-    @property
-    def longest_D_hat(self) -> float:
-        """The longest delay by which a step can read its commands."""
-        return (len(self.memory.held) - 3 - self._oldest) * self.dt
-
-    @property
     def outputs(self) -> tuple[str, ...]:
         """The names of a sample's numbers: the states, or the outputs of its observer."""
-        return tuple(self.observer.outputs) if self.observer else self.plant.states
+        return assembly.outputs(self._loop)
 
     @property
     def X_hat(self) -> np.ndarray:
         """The state that the last step predicted from, (n,), a copy: the sample, or the model's state since."""
-        return self.memory.X_hat[:, 0].copy()
+        return self.memory.signals.X_hat[:, 0].copy()
 
     @property
     def status(self) -> Status:
         """The events of the last step (npred.loop.status)."""
-        z, clock, m = self.memory, self._clock, self.plant.m
-        age, spread = (clock["at"] - clock["sample_at"]) * self.dt, math.nan
-        if self._watches:
-            spread = float(engine.spreads(m, self.settings.law, z.observer, z.D_hat)[0])
-        offset = z.filter[self.plant.n : self.plant.n + m, 0].copy() if self.settings.offsets else np.zeros(m)
-        low, high = self.adaptation.ends(self.dt) if self.adaptation else (-math.inf, math.inf)
-        return Status(
-            D_hat=self.D_hat, D_hat_spread=spread, at_bound=low < high and not low < self.D_hat < high,
-            age=math.inf if math.isnan(age) else age,
-            innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
-            missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
-            fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
-            kept=float(z.kept[0]) if self.safety else math.nan, unkept=z.unkept[0] > 0,
-        )  # fmt: skip
+        return status.of(self.memory)
 
     @property
     def P(self) -> np.ndarray:
@@ -395,19 +294,17 @@ class Controller(InNotebook):
             if not came or not np.isfinite(self._Y).all():
                 got = "one that is not" if came else "none"
                 raise DivergedError(f"step: expected a finite first X, for u0 is kappa of it, got {got}; {HELD}")
-            before = self._remembered()
-            past = self._past(self._Y)
-            _, self.memory.held[:], self.memory.total[:] = history(self._kept_for, self._kept_for, self.dt, past)
-            self._reset_clock()
+            before = self.memory.state()
+            self.memory.begin(self._past(self._Y))
         if sent is not None:
             self._engine.replace(sent)
         code = self._engine.call(now, gap, came, age)
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
-            self.restore(before)
+            self._recall(before)
             raise DivergedError(self._refusal(code, came, age, booked=False))
-        if abs(now - self.t) > SNAP * self.dt:
-            self._t0, self._step = now, 0
-        self._step += 1
+        if abs(now - self.memory.t) > SNAP * self.dt:
+            self.memory.t0, self.memory.step = now, 0
+        self.memory.step += 1
         if code:
             raise DivergedError(self._refusal(code, came, age, booked=self.keeps_commands))
         self._awaits_X = False
@@ -417,29 +314,7 @@ class Controller(InNotebook):
     def state(self) -> dict[str, Any]:
         """Its state, ready for JSON: D_hat, phi of the last step, the steps done since t0, and, as it has
         them, commands, observers and parameters; and of which plant it is."""
-        return {"plant": self._formulas} | self._remembered()
-
-    def _remembered(self) -> dict[str, Any]:
-        """Its state without the digest of the plant, which takes as long to make as a short loop."""
-        z = self.memory
-        phi = float(z.phi_before[0])
-        remembered: dict[str, Any] = {}
-        if self.keeps_commands:
-            held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
-            remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self._clock.state()}
-        if self._reads_commands:
-            remembered["missed"] = int(z.missed[0])
-        if self.observer:
-            remembered["filter"] = z.filter[:, 0].tolist()
-        if self.safety:
-            remembered["plan"] = z.plan[:, 0].tolist()
-        if self._watches:
-            remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]
-        if self.plant.p_names:
-            remembered["parameters"] = self._numbers
-        rate = None if math.isnan(phi) else phi
-        start = {"D_hat": self.D_hat, "phi": rate, "step": self._step, "t0": self._t0}
-        return start | remembered
+        return {"plant": self._formulas} | self.memory.state()
 
     @cached_property
     def _formulas(self) -> str:
@@ -448,33 +323,29 @@ class Controller(InNotebook):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on from a saved state; without phi as from a first step, without t0 from 0. Raises ConfigError if none."""
-        try:
-            D_hat, step = state["D_hat"], operator.index(state["step"])
-            phi, t0 = state.get("phi"), state.get("t0", 0.0)
-        except (AttributeError, KeyError, TypeError, ValueError):
-            raise ConfigError(f"state: expected D_hat and step, got {state!r}; save it with state()") from None
-        if "plant" in state and state["plant"] != self._formulas:
+        if isinstance(state, Mapping) and "plant" in state and state["plant"] != self._formulas:
             raise ConfigError(f"state: expected one of plant {self.plant.name}, got another's; restore it there")
-        before = self._remembered()
         self._recall(state)
+
+    def _recall(self, state: Mapping[str, Any]) -> None:
         try:
-            self._set_state(D_hat, phi, step, t0)
-        except ConfigError:
-            self._recall(before)
-            raise
-        self._awaits_X = self._awaits_X and step == 0
+            self.memory.restore(state)
+        finally:
+            self._view()
+        self._awaits_X = self._awaits_X and state["step"] == 0
 
     def fresh(self) -> "Controller":
         """Another one with these parts, which starts from this one's D_hat and t without a past."""
         other = type(self)(self.loop)
         other.settings.p[:] = self.settings.p
-        other._set_state(self.D_hat, None, 0, self.t)
+        other.memory.set(self.D_hat, None, 0, self.t)
         return other
 
     @property
     def loop(self) -> Loop:
         """The description that another controller with these parts and this D_hat is made of."""
-        return replace(self._loop, D_hat=self.D_hat, history_length=self._longest)
+        D_hat = self._loop.D_hat if self.plant.declares_delay else self.D_hat
+        return replace(self._loop, D_hat=D_hat, history_length=self.memory.longest)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -490,65 +361,22 @@ class Controller(InNotebook):
         self.restore(saved["state"])
         self._last_P[:] = saved["P"]
 
-    def _take_memory(self, size: int, D_hat: float) -> None:
-        """The buffers of all steps: `size` numbers of an observer of the delay, commands back to the longest delay."""
-        n, m, nx, longest = self.plant.n, self.plant.m, self.predictor.nx, self._loop.history_length
-        largest = 0.0 if self.plant.declares_delay else D_hat
-        needed = max(largest, float(self.settings.bounds[1]) if self.adaptation else 0.0)
-        if longest is None:
-            declared = self._reads_commands and self.plant.declares_delay
-            longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
-        elif not needed <= array_checks.number("history_length", longest) < math.inf:
-            what = f"expected at least the largest delay, {self.plant.time_text(needed)}"
-            raise ConfigError(f"history_length: {what}, got {longest!r}; raise it")
-        longest = float(longest)
-        self._last_U = np.zeros(m)
-        self._last_P = np.full((nx, n), np.nan)
-        self._longest = longest
-        self._kept_for = (int(longest / self.dt) + self._oldest + 0.5) * self.dt if self._oldest else longest
-        held, total = history(self._kept_for, self._kept_for, self.dt, self._past(np.zeros(n)))[1:]
-        self._clock, Y = Clock(n, m, len(self.outputs)), np.zeros((n, 1))
-        arrays = {"Y": Y, "X_hat": np.zeros((n, 1)) if self._reads_commands else Y, "held": held, "total": total}
-        arrays |= {"u": np.zeros((nx, m, 1)), "u_nodes": np.zeros((nx, m, 1)), "D_seen": np.zeros((m, 1))}
-        arrays |= {"error": np.full(1, np.nan), "clock": self._clock.memory[:, None]}
-        if self.observer:
-            arrays |= {"filter": np.array(self.observer.start(), dtype=float)[:, None]}
-        sizes = {"n": n, "m": m, "nx": nx, "observer": size, "past": 0, "outputs": len(self.outputs), "filter": 0}
-        sizes |= self.safety.sizes(self.plant) if self.safety else {"ends": 0, "plan": 0}
-        self._set_memory(signals.State(**signals.memory(signals.STATE, sizes, 1, arrays)))
-
-    def _set_memory(self, memory: signals.State) -> None:
-        self.memory = z = memory
-        self._Y = (z.sample if self.observer else z.Y)[:, 0]  # the only lane
+    def _view(self) -> None:
+        """Look at the arrays of the memory, of the only lane."""
+        z = self.memory.signals
+        self._Y = (z.sample if self.observer else z.Y)[:, 0]
         self._u, self._u_nodes = z.u[:, :, 0], z.u_nodes[:, :, 0]
         self._P, self._U = z.P[:, :, 0], z.U[:, 0]
-        self._engine = Engine(self.parts, self.settings, memory)
+        self._engine = Engine(self.parts, self.settings, z)
 
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
-        span = np.array([self._first_D_hat])
+        span = np.array([self._loop.D_hat or 0.0])
         plant = self.plant
         if self.parameters != plant.parameters:  # kappa is that of what was set
             plant = plants.varied(plant, tuple(self.parameters.items()))
         limits = self.settings.input_bounds if self._by_law else self._loop.input_bounds
         return inputs.past(plant, self._loop.u0, limits, X[None], span)
-
-    def _reset_clock(self, k: int | None = None, calls: int = 0) -> None:
-        """Set the clock before the call of control step k, the first by default."""
-        k = len(self.memory.held) - 1 if k is None else k
-        X_hat = self.memory.filter[: self.plant.n, 0] if self.observer else None
-        last = self.memory.held[(k - 1) % len(self.memory.held), :, 0]
-        self._clock.start(k, last, self.plant.ratios * self.D_hat, X_hat, calls)
-
-    @property
-    def _numbers(self) -> dict[str, float]:
-        """All that the plant's functions read as p, by name."""
-        return dict(zip(self.plant.p_names, self.settings.p.tolist(), strict=True))
-
-    @property
-    def _next(self) -> int:
-        """The control step of the next call, in the history."""
-        return int(self._clock["at"] + ROUNDING) + 1
 
     def _times(self, t: Any, sampled_at: Any) -> tuple[float, float, float]:
         """The time of a call, the control steps since the last one, and the age of its sample in control steps.
@@ -561,7 +389,7 @@ class Controller(InNotebook):
             if not self._reads_commands:
                 came = f"got {self.actuator!r}, whose calls are each dt"
                 raise ConfigError(f't: expected actuator="history", {came}; omit t')
-            starts, regular = not self._clock["calls"], abs(now - self.t) <= SNAP * self.dt
+            starts, regular = not self.memory.clock["calls"], abs(now - self.t) <= SNAP * self.dt
             if not math.isfinite(now) or not (starts or regular or now > last):
                 after = "" if starts else f" after that of the last call, {last:.9g}"
                 raise ConfigError(f"t: expected a finite time{after}, got {now:.9g}; use one clock")
@@ -577,62 +405,6 @@ class Controller(InNotebook):
             age = max(float(snapped(age)), 0.0)
         return now, gap, age
 
-    def _recall(self, state: Mapping[str, Any]) -> None:
-        """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
-        z = self.memory
-        commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
-        missed, clock = state.get("missed", 0), state.get("clock")
-        parameters = state.get("parameters", self._numbers)
-        observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]
-        try:
-            k, held, sums = operator.index(commands["k"]), np.array(commands["held"]), np.array(commands["sums"])
-            fits = held.shape == sums.shape and held.shape[1:] == (self.plant.m,) and len(observer) == len(z.observer)
-            fits = fits and len(held) <= k + 1 <= 2 * len(held) and operator.index(missed) >= 0
-            filtered = np.array(state.get("filter", z.filter[:, 0]), dtype=float)
-            plan = np.array(state.get("plan", np.zeros(len(z.plan))), dtype=float)
-            if parameters != (before := self._numbers):
-                fits = fits and [*parameters] == [*before] and np.isfinite([*parameters.values()]).all()
-                fits = fits and all(parameters[name] == before[name] for name in self.fixed)
-            for one, memory in ((filtered, z.filter), (plan, z.plan)):
-                fits = fits and one.shape == memory[:, 0].shape and np.isfinite(one).all()
-            if clock is not None:
-                Clock(self.plant.n, self.plant.m, len(self.outputs)).restore(clock)
-        except (AttributeError, KeyError, TypeError, ValueError):
-            fits = False
-        if not fits:
-            raise ConfigError("state: expected the commands of such a controller, got others; save it with state()")
-        self.settings.p[:] = [*parameters.values()]
-        z.observer[:, 0], z.filter[:, 0], z.plan[:, 0], z.missed[0] = observer, filtered, plan, missed
-        held, sums = held[:, :, None].astype(float), sums[:, :, None].astype(float)  # maybe longer than those before
-        self._set_memory(z._replace(held=np.ascontiguousarray(held), total=np.ascontiguousarray(sums)))
-        if clock is None:  # saved without one, by a block of python-control say
-            self._reset_clock(k, int(state["step"] > 0))
-        else:
-            self._clock.restore(clock)
-        if self._watches and math.isnan(observer[-1]):  # observers of the delay start at a sample that is believed
-            self._clock.now[:] = np.nan
-
-    def _set_state(self, D_hat: Any, phi: Any, step: int, t0: Any) -> None:
-        """Set the state of the next step, phi None for none. Raises ConfigError, and stays as it is, if wrong."""
-        seconds, start = array_checks.number("D_hat", D_hat), array_checks.number("t", t0)
-        rate = math.nan if phi is None else array_checks.number("phi", phi)
-        low, high = self.settings.bounds
-        array_checks.within("D_hat", np.array(seconds), (low, high), self.plant.time_unit)
-        if self._reads_commands and seconds > self.longest_D_hat:
-            what = f"expected at most {self.plant.time_text(self.longest_D_hat)}, as far as the history reaches"
-            raise ConfigError(
-                f"D_hat: {what}, got {self.plant.time_text(seconds)}; make another controller with that D_hat"
-            )
-        if not 0 <= step <= STEPS:
-            came = "a negative one" if step < 0 else "a larger one"
-            raise ConfigError(f"step: expected a whole number of 0 to 2^53, got {came}; save it with state()")
-        if not math.isfinite(start + step * self.dt):
-            raise ConfigError(f"t: expected a finite time, got {start:g} and {step} steps; give a finite one")
-        if math.isinf(rate):
-            raise ConfigError("phi: expected a finite number or none, got infinity; save it with state()")
-        z = self.memory
-        z.D_hat[0], z.phi_before[0], self._step, self._t0 = seconds, rate, step, start
-
     def _measure(self, X: np.ndarray, u: Any, u_nodes: Any) -> None:
         u = self._u if u is None else array_checks.nodes("u", u, self.plant.m)
         u_nodes = u if u_nodes is None else array_checks.nodes("u_nodes", u_nodes, self.plant.m)
@@ -647,25 +419,26 @@ class Controller(InNotebook):
 
     def _refusal(self, code: int, came: bool, age: float, booked: bool) -> str:
         """Why a step, with a sample of that age if one came, gives no U to send, and the cure, in words."""
-        time, longest = self.plant.time_text, self.memory.D_seen.max()
-        sample = "none" if not came else "one that is not newer than the last"
-        if came and age > self._oldest:
-            sample = f"one that is {time(age * self.dt)} old, more than max_sample_age = {time(self._oldest * self.dt)}"
+        time, z, longest = self.plant.time_text, self.memory.signals, self.memory.longest_D_hat
+        sample, oldest = "none" if not came else "one that is not newer than the last", self.memory.oldest * self.dt
+        if came and age > self.memory.oldest:
+            sample = f"one that is {time(age * self.dt)} old, more than max_sample_age = {time(oldest)}"
         reason = {
             engine.MEASUREMENT: f"expected finite {'X' if self._reads_commands else 'X and u'}, got one that is not",
             engine.PREDICTION: "the prediction from X and u is not finite",
-            engine.TOO_LONG: f"expected a delay of at most {time(self.longest_D_hat)}, as far as the history reaches, "
-            f"got {time(longest)}; raise history_length",
+            engine.TOO_LONG: f"expected a delay of at most {time(longest)}, as far as the history reaches, "
+            f"got {time(z.D_seen.max())}; raise history_length",
             engine.UNKNOWN: f"expected a sample of X, for nothing tells the state, got {sample}",
         }[code]
-        sent = f": {source_lines.values(self.plant.inputs, self.memory.U[:, 0])} is assumed sent" if booked else ""
+        sent = f": {source_lines.values(self.plant.inputs, z.U[:, 0])} is assumed sent" if booked else ""
         return f"step: {reason}; {HELD}{sent}"
 
     def _warm_up(self) -> None:
         """Compile and load all that a step runs, so that the first step takes no longer than the others."""
-        state = self._remembered()
+        state = self.memory.state()
         self._engine.call(self.t, 1.0, True, 0.0)
-        self.restore(state)
-        self.memory.innovation[:] = self.memory.error[:] = np.nan
-        for signal in ("fallback", "kept", "filtered", "unkept"):
-            getattr(self.memory, signal)[:] = 0.0
+        self._recall(state)
+        z = self.memory.signals
+        z.innovation[:] = z.error[:] = np.nan
+        for signal in (z.fallback, z.kept, z.filtered, z.unkept):
+            signal[:] = 0.0

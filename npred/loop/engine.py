@@ -19,9 +19,9 @@ from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods.base import OneStep
 
-LOOP = ("actuator.h", "hold.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "marks.h", "engine.h")
-ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "controller.h", "candidates.h", "entries.h")
-ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "controller.h", "marks.h", "clocked.h")
+LOOP = ("actuator.h", "hold.h", "onward.h", "sensor_errors.h", "sensor.h", "step.h", "gate.h", "marks.h", "engine.h")
+ON_A_PLANT = ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h", "candidates.h", "entries.h")
+ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "gate.h", "controller.h", "marks.h", "clocked.h")
 # in a step: what is not finite, a delay beyond the kept commands, no sample that tells the state
 MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN = 1, 2, 4, 6
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p

@@ -42,7 +42,7 @@ class Loop:
     watchdog: Watchdog | None = None  #: gives U if no sample comes
     safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
     outlier_limit: float | None = 1.0  #: samples farther from the model than this times half the box are refused
-    max_sample_age: float | None = None  #: largest age of a sample that is used; by default 20 control steps
+    max_sample_age: float | None = None  #: largest age of a sample that is used; by default 100 control steps
     history_length: float | None = None  #: how long commands are kept; by default the largest D_hat
     D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest
     X0: Any = None  #: states at t = 0, (..., n)
@@ -83,8 +83,12 @@ class Loop:
 
     @property
     def on_a_clock(self) -> bool:
-        """True if calls, samples and commands each have their times."""
-        return any(part is not None for part in (self.timing, self.observer, self.watchdog))
+        """True if calls, samples and commands each have their times, as where the controller judges samples of X that
+        are not X itself.
+        """
+        sees, alone = self.measurement, self.predictor is None or self.plant.declares_delay
+        judges = self.reads_commands and not sees.perfect and sees.observer is None and not alone
+        return judges or any(part is not None for part in (self.timing, self.observer, self.watchdog))
 
     @classmethod
     def of(cls, call: str, unused: tuple[str, ...], parts: dict[str, Any]) -> Self:

@@ -68,6 +68,8 @@ STATE = [
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts
     Signal("moments", ("ends",)),
     *_rows("n", "expected"),  # X by a controller's model, from the call before and the commands; NaN before the first
+    *_lane("first_refused", "believed_since"),  # npred/kernels/c/gate.h, of a loop in lanes
+    *_lane("stray", start=0.0),
     *_lane("missed", start=0.0),  # the last samples in a row that the gate of a controller refused
     Signal("clock", ("clock",)),  # what a controller remembers of its calls: npred/kernels/c/controller.h
     *_rows(
@@ -94,35 +96,29 @@ RECORD = [
     *_lane("changes", start=0, kind="int64"),  # the steps in which it did
     *_lane("unkept", start=0, kind="int64"),  # the steps in which no U was found that keeps all limits
 ]
-SETTINGS = [
+CONTROLS = [  # the settings of a controller: its export in C has these
     *(Signal(name, None, 0.0) for name in ("dt", "b", "gamma_dt")),  # gamma_dt = gamma dt, or 0 with D_hat frozen
     Signal("gate", None, 0.0),  # how far a sample may be from what is expected, as a share of that
     Signal("oldest", None, 0.0),  # how late a sample may come, in control steps
     Signal("after", None, 0.0),  # how long a watchdog waits for one
-    *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
+    Signal("uncertain", None, 0.0),  # how wrong D_hat may be
     Signal("reads_commands", None, 0, "int"),  # whether the controller reads the actuator state from its commands
     Signal("stores_commands", None, 0, "int"),  # whether the history of commands gives u at the nodes
-    *(Signal(name, None, 0, "int") for name in ("gated", "offsets", "watched", "holds")),
+    Signal("gated", None, 0, "int"),  # whether samples far from what is expected are refused
+    Signal("offsets", None, 0, "int"),  # whether an observer of the state estimates a constant added to U
+    *(Signal(name, None, 0, "int") for name in ("watched", "holds")),  # a watchdog: its own, that keeps the last U
     Signal("judges_outputs", None, 0, "int"),  # whether an observer of the delay gets samples of the outputs
     Signal("pulls", None, 0, "int"),  # whether an observer of the state corrects it between samples too
     Signal("filter_count", None, 0, "int"),  # numbers that an observer of the state remembers
     Signal("observer_count", None, 0, "int"),  # numbers that an observer of the delay remembers, for a step to undo
     Signal("output_count", None, 0, "int"),  # numbers of a sample
     Signal("end_count", None, 0, "int"),  # predicted states in which limits are kept
-    Signal("uncertain", None, 0.0),  # how wrong D_hat may be
-    *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
-    Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
     Signal("bounds", ()),  # (2,) of D_hat
     Signal("input_bounds", ()),  # (m, 2)
-    Signal("u_star", ()),  # (m,)
     Signal("p", ()),
-    Signal("truth_p", ()),  # the parameters of the simulated plant
     Signal("ratios", ()),  # (m,), the delay of each input as a share of the longest
     Signal("law", ()),  # settings of an observer of the delay
     Signal("guard", ()),  # settings of the guard
-    *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # samples; times in control steps
-    *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
-    *(Signal(name, ()) for name in measurement.PER_STATE),  # (n,), what sensors make of X
     Signal("reach", ()),  # (n,), how far a sample may be from what is expected near 0
     Signal("sensing", ()),  # settings of an observer of the state
     Signal("anew", ()),  # its memory for a restart; without an observer the middle of the box (n,)
@@ -130,10 +126,21 @@ SETTINGS = [
     Signal("rescue", ()),  # (m,), the U of a watchdog that declares numbers
     Signal("jump", ()),  # (m,), how far U moves in a call while the watchdog takes or returns it
     Signal("safety", ()),  # settings of a safety filter
+]
+SIMULATES = [  # those of what is simulated around it: its plant, its sensors, the record
+    *(Signal(name, None, 0, "int64") for name in ("every", "row_count", "sample_count", "late")),
+    *(Signal(name, None, 0, "int") for name in ("moves", "senses", "tabulates")),
+    Signal("disturbed", None, 0, "int"),  # lanes of the disturbance: 0 without one, 1 where it is the same for all
+    Signal("u_star", ()),  # (m,)
+    Signal("truth_p", ()),  # the parameters of the simulated plant
+    *(Signal(name, None, 0.0) for name in ("period", "jitter", "drop")),  # samples; times in control steps
+    *(Signal(name, None, 0, "int64") for name in ("age", "seed", "first")),  # first: number of the batch's first loop
+    *(Signal(name, ()) for name in measurement.PER_STATE),  # (n,), what sensors make of X
     Signal("delays", ()),  # (steps + 1, m, B), of each input where the delay is a function of time, or empty
     Signal("disturbance", ()),  # (steps, m, disturbed), added to what leaves the actuator, or empty
     Signal("samples", (), 0, "int64"),  # (S, B), sorted steps whose (X, u, D_hat) are kept
 ]
+SETTINGS = [*CONTROLS, *SIMULATES]
 EVENTS = [  # one loop on a real clock; times since its start, in control steps
     *(Signal(name, ("count",)) for name in ("at", "gap", "age")),  # each control step's call: npred/loop/timing.py
     *(Signal(name, ("count",), 0, "bool") for name in ("skipped", "lost")),

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from npred.base import devices
-from npred.estimation.delay_law import Part, part
-from npred.loop import engine, loop_checks, settable, signals
+from npred.estimation.delay_law import Part
+from npred.loop import assembly, engine, loop_checks, settable, signals
 from npred.loop import measurement as sensing
 from npred.loop.actuator import history
 from npred.loop.engine import Engine
@@ -20,7 +20,6 @@ from npred.loop.timing import SNAP
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.delays.constant import ConstantDelay
 from npred.prediction.methods import RK4, OneStep, Predictor
 
 LANES = 64  # loops per chunk: with more, their memory leaves the second-level cache
@@ -35,14 +34,14 @@ def compiled(plant: Plant, predictor: Predictor | None, law: Part) -> bool:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Loops of B lanes; `loop` has nothing left to be filled in, its D and D_hat are (B,), its X0 is (B, n)."""
+    """Loops of B lanes; `loop` has nothing left to be filled in, its D is (B,), its X0 is (B, n)."""
 
     loop: Loop
     count: int  # control steps, that at t = 0 included
     every: int
     integrator: type[OneStep]
     shape: tuple[int, ...]  # the axes of the batch
-    blind: bool  # whether the controller of a plant that declares its delay is as if there was none
+    D_hat: np.ndarray  # (B,), the first estimates; those of `loop` are None where the plant declares its delay
     past: inputs.Past  # the inputs of t < 0
     samples: np.ndarray  # (B, S), the steps that are kept too
     delays: np.ndarray  # (count + 1, B), or (0, B) where D is no function of time
@@ -50,10 +49,7 @@ class Simulation:
     @cached_property
     def law(self) -> Part:
         """The kernels of U and of D_hat's rate; the open loop has U = 0."""
-        if self.loop.predictor is None:
-            return part(self.loop.plant, None, self.loop.dt)._replace(control=None)
-        law = part(self.loop.plant, self.loop.adaptation, self.loop.dt)
-        return law._replace(control=ConstantDelay(self.loop.plant).control(RK4.step)) if self.blind else law
+        return assembly.law(self.loop)
 
     @cached_property
     def course(self) -> list[settable.Piece]:
@@ -106,7 +102,8 @@ class Simulation:
     def _chunk(self, c: slice, progress: Any) -> Record:
         lanes = c.stop - c.start
         origin, held, total = history(*self.reach(c), self.loop.dt, self.past.of(c))
-        settings, out = self._settings(c), self.record(lanes, self.samples.shape[1])
+        settings = self.settings(c)._replace(stores_commands=1, gated=int(self.refuses))
+        out = self.record(lanes, self.samples.shape[1])
         state = self._state(c, held, total)
         steps = Engine(self.parts, settings, state, out)
         if progress:
@@ -127,89 +124,85 @@ class Simulation:
         """The number of kept control steps."""
         return (self.count - 1) // self.every + 1
 
-    @property
-    def nx(self) -> int:
-        """The nodes of u and P; two in the open loop."""
-        return 2 if self.loop.predictor is None else self.loop.predictor.nx
-
     def record(self, lanes: int, samples: int) -> Record:
         """An empty record."""
-        n, m = self.loop.plant.n, self.loop.plant.m
-        sizes = {"n": n, "m": m, "nx": self.nx, "row": self.rows, "sample": samples + 1, "breach": n + m + 1}
+        sizes = assembly.sizes(self.loop, self.law)
+        sizes |= {"row": self.rows, "sample": samples + 1, "breach": sizes["n"] + sizes["m"] + 1}
         return Record(**signals.memory(signals.RECORD, sizes, lanes, {}))
 
     def reach(self, c: slice) -> tuple[float, float]:
         """How far back the commands of some loops may be read: before t = 0, and at any time."""
         loop, spans = self.loop, [self.loop.D[c].max(), self.delays[:, c].max(initial=0.0)]
         if loop.reads_commands or self.law.memory > 1 or loop.plant.declares_delay:
-            spans += [loop.D_hat[c].max(), self.law.bounds[1] if loop.adaptation else 0.0]
+            spans += [self.D_hat[c].max(), self.law.bounds[1] if loop.adaptation else 0.0]
         before = float(max(spans)) + loop.measurement.delay
         longest = (self.count - 1) * loop.dt
         return before, before + (longest if loop.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
     @cached_property
+    def controls(self) -> dict[str, Any]:
+        """The sentences of the controller, on lanes, traced once for all chunks."""
+        return assembly.kernels(self.loop, self.law)
+
+    @cached_property
     def parts(self) -> dict[str, Any]:
-        """The sentences of a control step, on lanes, traced once for all chunks."""
-        loop, truth, law = self.loop, problem_of(self.loop.real), self.law
-        model = ConstantDelay(loop.plant) if self.blind else problem_of(loop.plant)
-        observer, foresees = loop.measurement.observer, loop.safety or not loop.measurement.perfect
-        return {
+        """The sentences of a control step: the controller's, and those of the simulated plant and its sensors."""
+        truth, observer = problem_of(self.loop.real), self.loop.measurement.observer
+        return self.controls | {
             "horizon": truth.horizon(),
             "observer": observer and sensing.observed(observer),
-            "observe": law.observe,
-            "model_delay": model.horizon(),  # None too where D_hat = 0
-            "predict": loop.predictor and (model.sweep(RK4.step) if self.blind else loop.predictor.lanes()),
-            "guard": None if self.blind else getattr(loop.predictor, "guard", None),
-            "control": law.control,
-            "update": law.update,
             "delay_speed": truth.speed(),
-            "advance": engine.advance_kernel(loop.real, self.integrator),
-            "protect": loop.safety and loop.safety.kernel(loop.plant),
-            "model": engine.advance_kernel(loop.plant, self.integrator) if foresees else None,
+            "advance": engine.advance_kernel(self.loop.real, self.integrator),
         }
 
-    def _settings(self, c: slice) -> Settings:
-        loop, plant, guard = self.loop, self.loop.plant, getattr(self.loop.predictor, "settings", None)
-        samples, delays = self.samples[c], self.delays[:, c]
-        pushes = self.pushes if self.pushes.shape[2] < 2 else self.pushes[..., c]
-        return signals.settings(
-            dt=loop.dt,
-            b=self.law.b,
-            gamma_dt=self.law.gamma * loop.dt,
+    @property
+    def refuses(self) -> bool:
+        """Whether some sample may be far from what the model expects: else there is nothing to judge."""
+        loop = self.loop
+        if not loop.reads_commands or loop.outlier_limit is None or not loop.measurement.perfect:
+            return False
+        known = loop.plant.declares_delay or (loop.adaptation is None and np.array_equal(loop.D, self.D_hat))
+        exact = known and not loop.blind and not len(self.delays) and loop.integrator == RK4.name
+        return not (exact and loop.truth is None and loop.disturbance is None and not loop.setpoints)
+
+    @cached_property
+    def _settings(self) -> Settings:
+        loop, plant = self.loop, self.loop.plant
+        return assembly.settings(
+            loop,
+            self.law,
             every=self.every,
             row_count=self.rows,
-            sample_count=samples.shape[1],
+            sample_count=self.samples.shape[1],
             late=round(loop.measurement.delay / loop.dt) if loop.measurement.observer is None else 0,
-            reads_commands=loop.reads_commands,
-            stores_commands=True,
             moves=loop.real.declares_delay,
             senses=not loop.measurement.perfect,
-            tabulates=len(delays) > 0,
-            disturbed=pushes.shape[2],
-            bounds=self.law.bounds,
-            input_bounds=np.ascontiguousarray(loop.input_bounds, dtype=float),
+            tabulates=len(self.delays) > 0,
             u_star=np.array(plant.u_equilibrium if plant.rests else np.zeros(plant.m), dtype=float),
-            p=plant.p.copy(),
-            truth_p=loop.real.p.copy(),
-            ratios=plant.ratios,
-            law=self.law.settings,
-            guard=np.zeros(0) if guard is None else guard,
-            delays=np.array(delays[:, None, :] * plant.ratios[:, None], order="C"),
+        )
+
+    def settings(self, c: slice) -> Settings:
+        """The settings of some loops, of the controller and of what is simulated; those that are set are copies."""
+        loop, of, delays = self.loop, self._settings, self.delays[:, c]
+        pushes = self.pushes if self.pushes.shape[2] < 2 else self.pushes[..., c]
+        return of._replace(
+            p=of.p.copy(),
+            truth_p=of.truth_p.copy(),
+            u_star=of.u_star.copy(),
+            disturbed=pushes.shape[2],
+            delays=np.array(delays[:, None, :] * loop.plant.ratios[:, None], order="C"),
             disturbance=np.ascontiguousarray(pushes),
-            samples=np.array(samples.T, order="C", dtype=np.int64),
-            **(loop.safety.settings(loop.plant, loop.dt, loop.input_bounds) if loop.safety else {}),
-            **sensing.settings(loop.measurement, loop.dt, c.start, plant.n),
+            samples=np.array(self.samples[c].T, order="C", dtype=np.int64),
+            **sensing.settings(loop.measurement, loop.dt, c.start, len(assembly.outputs(loop))),
         )
 
     def _state(self, c: slice, held: np.ndarray, total: np.ndarray) -> State:
         loop, plant = self.loop, self.loop.plant
         X, D = np.array(loop.X0[c].T, order="C"), plant.ratios[:, None] * loop.D[c]
-        reads_commands = loop.reads_commands or (plant.declares_delay and not self.blind)
-        arrays = {"X": X, "D": D, "D_hat": np.array(loop.D_hat[c]), "held": held, "total": total}
+        reads_commands = loop.reads_commands or (plant.declares_delay and not loop.blind)
+        arrays = {"X": X, "D": D, "D_hat": np.array(self.D_hat[c]), "held": held, "total": total}
         arrays |= {"D_seen": D.copy() if reads_commands else D}
-        arrays |= {"X_hat": X, "Y": X} if loop.measurement.perfect else {"X_hat": X.copy()}
-        sizes = {"n": plant.n, "m": plant.m, "nx": self.nx, "observer": self.law.memory}
-        sizes |= dict.fromkeys(("clock", "outputs", "filter", "ends", "plan"), 0)
-        sizes |= {"past": round(loop.measurement.delay / loop.dt) + 1}
-        sizes |= loop.safety.sizes(loop.plant) if loop.safety else {}
-        return State(**signals.memory(signals.STATE, sizes, D.shape[1], arrays))
+        seen = loop.measurement.perfect and not self.refuses
+        arrays |= {"X_hat": X, "Y": X} if seen else {"X_hat": X.copy()}
+        sizes = assembly.sizes(loop, self.law) | {"past": round(loop.measurement.delay / loop.dt) + 1, "clock": 0}
+        return State(**signals.memory(signals.STATE, sizes | {"outputs": 0}, D.shape[1], arrays))

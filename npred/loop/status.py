@@ -1,8 +1,12 @@
 """The state of a controller after each call, for people."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+
+from npred.loop import engine
+from npred.loop.memory import Memory
 
 
 class Status(NamedTuple):
@@ -39,3 +43,22 @@ class Status(NamedTuple):
     filtered: bool
     kept: float
     unkept: bool
+
+
+def of(memory: Memory) -> Status:
+    """The status that a controller's memory tells."""
+    loop, z, clock = memory.loop, memory.signals, memory.clock
+    (n, m), dt, law = (loop.plant.n, loop.plant.m), loop.dt, loop.adaptation
+    age, spread = (clock["at"] - clock["sample_at"]) * dt, math.nan
+    if memory.watches:
+        spread = float(engine.spreads(m, memory.settings.law, z.observer, z.D_hat)[0])
+    offset = z.filter[n : n + m, 0].copy() if memory.settings.offsets else np.zeros(m)
+    low, high = law.ends(dt) if law else (-math.inf, math.inf)
+    return Status(
+        D_hat=memory.D_hat, D_hat_spread=spread, at_bound=low < high and not low < memory.D_hat < high,
+        age=math.inf if math.isnan(age) else age,
+        innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
+        missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
+        fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
+        kept=float(z.kept[0]) if loop.safety else math.nan, unkept=z.unkept[0] > 0,
+    )  # fmt: skip

@@ -50,29 +50,25 @@ class Watchdog:
         if self.jump is not None and not (array_checks.floats("watchdog: jump", self.jump) > 0).all():
             raise ConfigError(f"watchdog: expected numbers above 0 as jump, got {self.jump!r}; None is any distance")
 
-    @property
-    def holds(self) -> bool:
-        """Whether it keeps the last U."""
-        return isinstance(self.then, str) and self.then == "hold"
+    def numbers(self, plant: Plant, dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
+        """The settings of a loop with it. Raises ConfigError for numbers that are not one per input."""
+        jump = np.full(plant.m, np.inf) if self.jump is None else _one_per_input("jump", self.jump, plant.m)
+        rescue = np.zeros(plant.m)
+        if not (isinstance(self.then, str) or callable(self.then)):
+            array_checks.finite("watchdog: then", rescue := _one_per_input("then", self.then, plant.m))
+        holds = isinstance(self.then, str) and self.then == "hold"
+        return {"watched": True, "after": self.after, "holds": holds, "rescue": rescue, "jump": jump}
 
-    def rescue(self, m: int) -> np.ndarray:
-        """The U (m,) that it declares; zeros where that is the last one or a law's. Raises ConfigError for others."""
-        if isinstance(self.then, str) or callable(self.then):
-            return np.zeros(m)
-        U = _one_per_input("then", self.then, m)
-        array_checks.finite("watchdog: then", U)
-        return U
+    def axes(self, plant: Plant) -> dict[str, int]:
+        """It has no signals of its own."""
+        return {}
 
-    def jumps(self, m: int) -> np.ndarray:
-        """How far each input may move in a call, (m,)."""
-        return np.full(m, np.inf) if self.jump is None else _one_per_input("jump", self.jump, m)
-
-    def law(self, plant: Plant) -> Kernel | Callable[..., None] | None:
-        """npred.prediction.delays.problem.CONTROL of its law, or None."""
+    def kernels(self, plant: Plant) -> dict[str, Kernel | Callable[..., None]]:
+        """npred.prediction.delays.problem.CONTROL of its law, if it has one."""
         if not callable(self.then):
-            return None
+            return {}
         declaration = type("Rescue", (plant.declaration,), {"kappa": staticmethod(self.then)})
-        return problem_of(make(plant.name, declaration, plant.parameters)).control(RK4.step)
+        return {"watchdog_law": problem_of(make(plant.name, declaration, plant.parameters)).control(RK4.step)}
 
 
 def _one_per_input(name: str, value: Any, m: int) -> np.ndarray:

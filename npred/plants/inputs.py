@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TypeAlias, TypeGuard
 
 import numpy as np
@@ -43,14 +43,18 @@ def widest(plant: Plant, limits: np.ndarray) -> np.ndarray:
     """
     if np.isfinite(limits).all() or set(plant.box) != set(plant.states):
         return limits
+    return np.where(np.isfinite(limits), limits, np.outer(_largest(plant), [-1.0, 1.0]))
+
+
+@cache
+def _largest(plant: Plant) -> np.ndarray:
     ends = np.array([plant.box[name] for name in plant.states], dtype=float)
     X = randomness.generator(0, "largest kappa").uniform(ends[:, 0], ends[:, 1], (DRAWN, plant.n))
     moments = [0.0] if plant.rests else np.linspace(0.0, long(plant), MOMENTS)
     with np.errstate(all="ignore"):
         U = np.abs([plant.kappa(X, t) for t in moments])
     largest = np.where(np.isfinite(U), U, 0.0).max(axis=(0, 1))
-    high = np.array([float(f"{SPARE * u:.2g}") if u > 0 else np.inf for u in largest])
-    return np.where(np.isfinite(limits), limits, np.stack([-high, high], axis=1))
+    return np.array([float(f"{SPARE * u:.2g}") if u > 0 else np.inf for u in largest])
 
 
 Given: TypeAlias = ArrayLike | Callable[[float], ArrayLike] | None  # u0 as it was given; None is the default

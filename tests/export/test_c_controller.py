@@ -335,7 +335,7 @@ def test_a_state_that_cannot_be_is_refused_whatever_its_checksum(cases, tmp_path
     controller = cases["observer"][0]
     run = InC(library(controller, tmp_path), PLANT)
     run.step(X0)
-    saved, rows = bytes(run.state()), len(controller.memory.held)
+    saved, rows = bytes(run.state()), len(controller.memory.signals.held)
     places = {"steps": (24, "<q"), "t0": (32, "<d"), "D_hat": (40, "<d"), "phi": (48, "<d")}
     places |= {"held": (56 + 8 * (rows - 1), "<d"), "total": (56 + 8 * rows, "<d")}
     places |= {"at": (56 + 16 * rows, "<d"), "lag": (56 + 16 * rows + 8 * STAMPS.index("lag"), "<d")}

@@ -146,12 +146,12 @@ class Pair:
         try:
             return self.python.step(X, t=t, sampled_at=sampled_at, applied=applied).copy(), 0
         except ConfigError:
-            return self.python.memory.U[:, 0].copy(), 3
+            return self.python.memory.signals.U[:, 0].copy(), 3
         except DivergedError as refusal:
             reason = str(refusal)
             words = {"finite X, got": 1, "the prediction from X": 2, "raise history_length": 4, "a sample of X": 6}
             (code,) = (code for words, code in words.items() if words in reason)
-            return self.python.memory.U[:, 0].copy(), code
+            return self.python.memory.signals.U[:, 0].copy(), code
 
     def state_of_c(self):
         saved = bytes(self.c.state())[24:]  # behind the digest and the checksum

@@ -382,7 +382,7 @@ def test_commands_reach_back_to_a_delay_that_the_plant_declares():
     run, X = RK4(plant, 41), np.array([0.3, -0.2, 0.2])
     wanted = npred.simulate(plant, run, X0=X, t_end=3.0, dt=0.01, actuator="history", samples=np.arange(300))
     controller = npred.controller(plant, run, None, 0.01, actuator="history")
-    assert controller.reach == pytest.approx(5.0)
+    assert controller.memory.reach == pytest.approx(5.0)
     for k in range(300):
         np.testing.assert_allclose(controller.step(wanted.samples.X[k]), wanted.U[k], rtol=1e-9, atol=1e-12)
     short = npred.controller(plant, run, None, 0.01, actuator="history", history_length=0.5)
@@ -494,7 +494,7 @@ def test_what_is_expected_is_the_state_a_step_later():
         else:
             X = np.array([np.cos(k), 0.3])
             sent.append(controller.step(X).copy())
-        np.testing.assert_allclose(controller.memory.expected[:, 0], expected, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(controller.memory.signals.expected[:, 0], expected, rtol=0, atol=1e-4)
         u = 0.15 * sent[k + 2][0] + 0.85 * sent[k + 3][0]
         v = 0.3 * sent[k][1] + 0.7 * sent[k + 1][1]
         X = X + np.array([dt * u + (np.sin(9 * (k + 1) * dt) - np.sin(9 * k * dt)) / 3, dt * v])
@@ -525,7 +525,7 @@ def test_over_refused_steps_what_is_expected_follows_the_delay_that_is_expected(
         except DivergedError:
             sent.append(sent[-1])
             held += 1
-        assert controller.memory.expected[0, 0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
+        assert controller.memory.signals.expected[0, 0] == pytest.approx(expected, rel=1e-9, nan_ok=True)
         X = X if np.isnan(sample) else sample
         late = 0.3 * X / dt if 0 <= 0.3 * X <= kept else 0.0
         begin, end = np.interp(past + k + np.array([0, 1]) - late, range(past + k + 2), np.cumsum([0.0, *sent]))
@@ -542,8 +542,8 @@ def test_a_delay_is_refused_from_where_its_commands_are_overwritten_on():
         )
         for k in range(60):
             controller.step([1.0], t=k * dt)
-        longest = (controller.longest_D_hat + beyond * dt) / 0.3
-        assert controller.longest_D_hat >= 1.5
+        longest = (controller.memory.longest_D_hat + beyond * dt) / 0.3
+        assert controller.memory.longest_D_hat >= 1.5
         try:
             controller.step([longest], t=60 * dt)
             assert not refused
@@ -596,7 +596,7 @@ def test_observers_that_have_seen_no_sample_start_at_the_first():
     known.step([0.5])
     found.restore(known.state())
     found.step([9.0])
-    assert found.status.missed == 0 and np.isfinite(found.memory.observer).all()
+    assert found.status.missed == 0 and np.isfinite(found.memory.signals.observer).all()
 
 
 def test_a_state_that_jumps_is_believed_after_a_delay():
@@ -642,7 +642,7 @@ def test_a_gated_controller_goes_on_where_it_stood():
         with pytest.raises(ConfigError, match="expected the commands of such a controller"):
             resumed.restore(saved.state() | wrong)
     straight.t = 3.0
-    assert np.isnan(straight._clock.now).all()  # it expects nothing, as at a first step
+    assert np.isnan(straight.memory.clock.now).all()  # it expects nothing, as at a first step
 
 
 @pytest.mark.parametrize("gate", [0.0, -1.0, np.inf, np.nan])

@@ -157,7 +157,7 @@ def test_the_history_has_the_integral_of_the_commands_whatever_the_calls_times(g
         sent.append(U)
         t += gap * DT
     controller.step([0.0, 0.0], t=t)
-    z, rows, first = controller.memory, len(controller.memory.held), controller._clock["at"]
+    z, rows, first = controller.memory.signals, len(controller.memory.signals.held), controller.memory.clock["at"]
     ends = np.array([*times, t]) / DT - t / DT + first  # positions of the calls
     for i in range(max(int(ends[0]), int(first) + 1 - rows) + 1, int(first)):
         overlap = np.clip(np.minimum(ends[1:], i + 1) - np.maximum(ends[:-1], i), 0, None)
@@ -435,7 +435,7 @@ def test_a_pause_of_two_histories_is_predicted_over():
     controller, truth = motor(), Truth()
     for k in range(30):
         truth.send(k * DT, controller.step(truth.to(k * DT), t=k * DT))
-    pause = 2 * len(controller.memory.held) * DT
+    pause = 2 * len(controller.memory.signals.held) * DT
     t = 29 * DT + pause
     controller.step(None, t=t)
     np.testing.assert_allclose(controller.X_hat, truth.to(t), atol=1e-6)
@@ -508,7 +508,7 @@ def test_while_no_call_comes_the_estimate_goes_on_by_its_last_rate(gap):
     before, phi = controller.D_hat, controller.state()["phi"]
     controller.step([0.4, 0.1], t=(5 + gap) * DT)
     read = before + gamma * DT * (gap - 1) * phi
-    assert controller.memory.D_seen[0, 0] == pytest.approx(read, abs=1e-12) and phi != 0
+    assert controller.memory.signals.D_seen[0, 0] == pytest.approx(read, abs=1e-12) and phi != 0
     after = read + gamma * DT * (1.5 * controller.state()["phi"] - 0.5 * phi)
     assert controller.D_hat == pytest.approx(after, abs=1e-12)
 
@@ -520,7 +520,7 @@ def test_over_a_pause_the_estimate_stays_within_its_bounds(gamma):
     for k in range(4):
         controller.step([0.5, np.sign(gamma) * 3.0], t=k * DT)
     controller.step([0.4, 0.1], t=(3 + 30) * DT)
-    assert low <= controller.memory.D_seen[0, 0] <= high
+    assert low <= controller.memory.signals.D_seen[0, 0] <= high
 
 
 @pytest.mark.parametrize("early", [0.0, 0.45])

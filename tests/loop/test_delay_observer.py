@@ -286,7 +286,7 @@ def test_the_observer_of_the_true_delay_follows_a_plant_of_time_to_rounding():
     X, sent = 0.2, [0.0] * late
     for k in range(100):
         sent.append(controller.step([X])[0])
-        assert np.ravel(controller.memory.observer)[at] == pytest.approx(X, abs=1e-12)
+        assert np.ravel(controller.memory.signals.observer)[at] == pytest.approx(X, abs=1e-12)
         first = sent[k] - X + 3 * np.cos(9 * k * dt)
         second = sent[k] - (X + dt * first) + 3 * np.cos(9 * (k + 1) * dt)
         X += dt / 2 * (first + second)

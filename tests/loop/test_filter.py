@@ -45,9 +45,10 @@ def filtered(plant, safety, P, U, dt=0.01):
     lanes = [np.array(a.T, order="C") for a in (P, U)]
     ends, low, high = lanes[0][None].copy(), *(np.repeat(bounds[:, [k]], B, axis=1) for k in (0, 1))
     (kept, changed), unkept = np.empty((2, B)), np.zeros(B)
-    plan = np.zeros((safety.sizes(plant)["plan"], B))
-    numbers = safety.settings(plant, dt, bounds)["safety"]
-    safety.kernel(plant)(ends, np.zeros((1, B)), plant.p, numbers, low, high, lanes[1], plan, kept, changed, unkept)
+    plan = np.zeros((safety.axes(plant)["plan"], B))
+    numbers = safety.numbers(plant, dt, bounds)["safety"]
+    protect = safety.kernels(plant)["protect"]
+    protect(ends, np.zeros((1, B)), plant.p, numbers, low, high, lanes[1], plan, kept, changed, unkept)
     return lanes[1].T, plan.T, kept, changed, unkept
 
 

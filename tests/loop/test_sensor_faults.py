@@ -154,7 +154,7 @@ def test_an_observer_of_the_delay_forgets_what_was_believed(value):
 @pytest.mark.parametrize("value", [1e155, 1e300])
 def test_an_observer_of_the_delay_begins_anew_where_its_errors_are_not_finite(value):
     loop = estimating(constant(value), outlier_limit=None)
-    assert np.isfinite(loop.one.memory.observer).all() and 0 <= loop.one.status.D_hat_spread < 0.3
+    assert np.isfinite(loop.one.memory.signals.observer).all() and 0 <= loop.one.status.D_hat_spread < 0.3
 
 
 @pytest.mark.parametrize("value", [1e300, 5e307])

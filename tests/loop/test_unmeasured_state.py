@@ -88,7 +88,7 @@ def test_the_candidate_of_the_true_delay_needs_no_correction():
         if k == 100:
             one.set(aim=8.0)
         one.step(X[1:])
-        off.append(np.abs(one.memory.observer[: 9 * 3, 0].reshape(9, 3)[:, :2] - X).max(axis=1))
+        off.append(np.abs(one.memory.signals.observer[: 9 * 3, 0].reshape(9, 3)[:, :2] - X).max(axis=1))
     largest = np.max(off, axis=0)
     assert largest[np.isclose(law.thetas(0.01), 0.5)][0] < 1e-3 < 0.02 < np.sort(largest)[1]
 
@@ -106,7 +106,7 @@ def test_a_wrong_sample_moves_no_estimate():
     for k in range(300):
         one.step([7.0 + 0.02 * rng.standard_normal() + (1e6 if k == 200 else 0.0)])
         estimates.append(one.D_hat)
-    assert np.ptp(estimates) == 0 and np.isfinite(one.memory.observer).all()
+    assert np.ptp(estimates) == 0 and np.isfinite(one.memory.signals.observer).all()
 
 
 def test_a_delay_beyond_the_bounds_is_said():
@@ -137,7 +137,7 @@ def test_an_observer_of_the_delay_does_not_begin_anew_with_that_of_the_state():
     )
     for k in range(200):
         one.step([7.0 if k < 100 else 20.0])
-    assert one.status.renewed > 0 and one.memory.observer[-6, 0] > 150  # samples that it has counted
+    assert one.status.renewed > 0 and one.memory.signals.observer[-6, 0] > 150  # samples that it has counted
 
 
 class Tanks:
@@ -174,7 +174,7 @@ def test_candidates_that_are_not_finite_start_anew_and_find_the_delay_in_c_too(k
             sent.append(sent[-1])
             assert code == 2 and k < 6
         X = X + 0.01 * plant.f(X, [sent[-21]])
-    assert abs(one.D_hat - 0.2) < 0.03 and np.isfinite(one.memory.observer).all()
+    assert abs(one.D_hat - 0.2) < 0.03 and np.isfinite(one.memory.signals.observer).all()
     assert in_c.status(1).D_hat == one.D_hat
 
 

@@ -107,6 +107,22 @@ class Observer(ABC):
         """The memory for a restart, and 1 for each variance of the first state in it."""
         return self.start(), np.zeros(len(self.start()))
 
+    def numbers(self, plant: Plant, dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
+        """The settings of a loop with it."""
+        memory, widens = self.anew()
+        return {
+            "sensing": self.settings, "pulls": self.pulls, "offsets": self.offset,
+            "filter_count": len(memory), "anew": memory, "widens": widens,
+        }  # fmt: skip
+
+    def kernels(self, plant: Plant) -> dict[str, Kernel]:
+        """The kernels of a loop with it."""
+        return {"follow": self.follow, "correct": self.correct}
+
+    def axes(self, plant: Plant) -> dict[str, int]:
+        """The axes of its signals."""
+        return {"filter": len(self.start())}
+
     @property
     @abstractmethod
     def filter(self) -> Any:

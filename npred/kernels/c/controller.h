@@ -8,10 +8,6 @@
 enum { OK, MEASUREMENT_NOT_FINITE, PREDICTION_NOT_FINITE, DELAY_TOO_LONG = 4, STATE_UNKNOWN = 6 };
 
 #define PAUSE 4.0  /* lengths of the history: after a longer pause the controller expects nothing of the state */
-#define AROUND 6.0 /* half widths of the box: a state that jumps farther is accepted later */
-#define DOUBTFUL 0.5 /* share of the distance at which a sample is refused, beyond which one that is taken may be wrong */
-#define MOST 1e12  /* largest factor by which that grows */
-#define NEARLY 1e-3 /* control steps: a wait that is so close to D_hat has lasted, also in float */
 
 /* What a controller with a history remembers, as npred/loop/clock.py declares it. */
 typedef struct {
@@ -194,19 +190,6 @@ static inline void arrive(Shape d, double gap, double t, const Parts *q, const S
     c.stamp[CALLS] = 1.0;
 }
 
-/* Whether a sample is used, or too far from the expected one. */
-enum { USED = 1, FAR = 2 };
-
-/* The factor by which a sample may be farther from the expected one if all samples since `first` were refused: 0 for less
- * than D_hat, or for less than they had been believed since the first or a doubtful one, or since the filter is new; then
- * 1, and ten times as much after each further D_hat. */
-static inline double believable(Shape d, double first, double taken, const Settings *s, const State *z)
-{
-    const double waited = taken - first, lived = first - clock_of(d, z->clock).stamp[RENEWED_AT];
-    const double times = larger(waited * s->dt / larger(z->D_hat[0], s->dt) - 1.0, 0.0);
-    return waited + NEARLY < smaller(z->D_hat[0] / s->dt, lived) ? 0.0 : smaller(pow(10.0, times), MOST);
-}
-
 /* Correct a filter, which is at the time of the sample, by the outputs that are not too far from its own. `fate` says of
  * each output whether it was used. */
 static inline int correct(Shape d, double t, double gate, const Parts *q, const Settings *s, const State *z, double *filter,
@@ -236,7 +219,7 @@ static inline int replace_filter(Shape d, double taken, double t, double gate, d
     }
     all = correct(d, t, gate, q, s, z, filter, innovation, fate, fate + s->output_count);
     for (int i = 0; i < s->output_count; i++) {
-        const int late = believable(d, c.refused[i], taken, s, z) > 0.0;
+        const int late = believable(c.refused[i], c.stamp[RENEWED_AT], taken, s->dt, z->D_hat[0]) > 0.0;
         helps = helps || (late && (int)z->fate[i] == FAR && (int)fate[i] == USED);
     }
     if (!helps || !all_finite(s->filter_count, filter)) {
@@ -259,7 +242,7 @@ static inline int estimate_state(Shape d, double taken, double gate, Moment now,
     for (int i = 0; i < s->output_count; i++) {
         if ((int)z->fate[i] == FAR) {
             c.refused[i] = isnan(c.refused[i]) ? taken : c.refused[i];
-            wider = larger(wider, believable(d, c.refused[i], taken, s, z));
+            wider = larger(wider, believable(c.refused[i], c.stamp[RENEWED_AT], taken, s->dt, z->D_hat[0]));
         }
     }
     if (!all_finite(s->filter_count, z->filter)) {
@@ -275,50 +258,22 @@ static inline int estimate_state(Shape d, double taken, double gate, Moment now,
     return other ? other : all;
 }
 
-/* Whether the sample Y is near the box of the state, or `wider` times as far. */
-static inline int is_near(Shape d, const Settings *s, const double *Y, double wider)
-{
-    int near = 1;
-    for (int c = 0; c < d.n; c++) {
-        near = near && fabs(Y[c] - s->anew[c]) <= wider * AROUND * s->reach[c];
-    }
-    return near;
-}
-
-/* Whether the sample Y is farther from the model's value X than that share of half the box, and of the smaller of both: by
- * the larger one a right sample would be too far from a wrong one that was taken, but not the reverse. */
-static inline int is_far(Shape d, const Settings *s, double gate, double share, const double *Y, const double *X)
-{
-    int far = 0;
-    for (int c = 0; c < d.n && gate < INFINITY; c++) {
-        far = far || fabs(Y[c] - X[c]) > share * larger(s->reach[c], gate * smaller(fabs(X[c]), fabs(Y[c])));
-    }
-    return far;
-}
-
-/* Take the sample Y as the state, unless it is too far from the model's value. If samples are refused for a time of D_hat,
- * the next is accepted: the state has jumped. Then the observer of the delay restarts, because its data are from before
- * the jump; it also restarts when the state comes back into the box. */
-static inline int compare_state(Shape d, double taken, double gate, Moment now, const Settings *s, State *z)
+/* Take the sample Y as the state, unless it is too far from the model's value. */
+static inline int compare_state(Shape d, double taken, Moment now, const Settings *s, State *z)
 {
     const Clock c = clock_of(d, z->clock);
     const double *X = taken < now.at ? c.base : z->expected;
-    const double first = isnan(c.refused[0]) ? taken : c.refused[0];
-    const int near = is_near(d, s, z->Y, 1.0), far = is_far(d, s, gate, 1.0, z->Y, X);
-    const int jumped = far && is_near(d, s, z->Y, believable(d, first, taken, s, z)), used = !far || jumped;
-    if (jumped || (used && near && c.stamp[STRAY] > 0.0)) {
-        c.stamp[STRAY] = near ? 0.0 : 1.0;
+    const Gate g = {c.refused, c.stamp + RENEWED_AT, c.stamp + STRAY};
+    int anew;
+    const int what = judge(d, 0, taken, z->D_hat[0], s, z->Y, X, g, &anew);
+    if (anew) {
         forget_delay(s, z, c);
     }
-    if (used && is_far(d, s, gate, DOUBTFUL, z->Y, X)) { /* if the next is refused, then this one may be the wrong one */
-        c.stamp[RENEWED_AT] = taken;
-    }
-    c.refused[0] = used ? NAN : first;
     for (int i = 0; i < d.n; i++) {
         z->innovation[i] = z->Y[i] - X[i];
-        c.base[i] = used ? z->Y[i] : c.base[i];
+        c.base[i] = what == USED ? z->Y[i] : c.base[i];
     }
-    return used ? USED : FAR;
+    return what;
 }
 
 /* Use a sample that was taken at a position, unless it is too far from the expected one: then it is refused. Returns which
@@ -331,7 +286,7 @@ static inline int learn(Shape d, double taken, Moment now, const Parts *q, const
     if (q->correct || taken < now.at) {
         move_base(d, taken, now, q, s, z, work);
     }
-    what = q->correct ? estimate_state(d, taken, gate, now, q, s, z, work) : compare_state(d, taken, gate, now, s, z);
+    what = q->correct ? estimate_state(d, taken, gate, now, q, s, z, work) : compare_state(d, taken, now, s, z);
     if (what & FAR) {
         c.stamp[REFUSED] += 1.0;
         z->missed[0] += 1.0;

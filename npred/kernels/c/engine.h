@@ -1,4 +1,4 @@
-/* Loops of the plant and its controller, side by side: the only time loop. */
+/* Loops of the plant and its controller, side by side, in control steps; npred/kernels/c/clocked.h is one on a clock. */
 
 /* D at control step k, and the speed of phi(t) = t - D during it, of delays that are a function of time. */
 static inline void tabulated(Shape d, INDEX k, double dt, const double *delays, double *D, double *speed)
@@ -137,6 +137,54 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
     }
 }
 
+/* X_hat at control step k from samples that are X itself: X, or what the model expects where X is too far from that, and
+ * then no sample, Y. The expected state follows from the last one by the commands, as the controller believes. */
+static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts *q, const Settings *s, State *z, double *work)
+{
+    const int lanes = d.lanes;
+    const double at = (double)(origin + k - 1);
+    double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m;
+    for (int l = 0; l < lanes && k > 0; l++) {
+        reached(d, l, at, at + 1.0, s->dt, z->D_seen, z->held, NULL, U0, U1, share);
+        for (int c = 0; c < d.m; c++) {
+            z->U0[c * lanes + l] = U0[c];
+            z->U1[c * lanes + l] = U1[c];
+            z->share[c * lanes + l] = share[c];
+        }
+    }
+    if (k > 0) {
+        q->model(d, z->X_hat, z->U0, z->U1, z->share, s->dt, t - s->dt, s->p, work);
+    }
+    for (int l = 0; l < lanes; l++) {
+        const Gate g = {z->first_refused + l, z->believed_since + l, z->stray + l};
+        int anew = 0;
+        const int used = judge(d, l, (double)k, k > 0 ? z->D_hat[l] : 0.0, s, z->X, z->X_hat, g, &anew) == USED;
+        for (int c = 0; c < d.n; c++) {
+            const int i = c * lanes + l;
+            z->X_hat[i] = used ? z->X[i] : z->X_hat[i];
+            z->Y[i] = used ? z->X[i] : NAN;
+        }
+        for (int i = 0; i < s->observer_count && anew; i++) {
+            z->observer[(ptrdiff_t)i * lanes + l] = NAN;
+        }
+    }
+}
+
+/* Let the observer of the delay start again in the lanes where it began, and has come to numbers that are not finite. */
+static inline void restart_lost(Shape d, const Settings *s, double *observer)
+{
+    const ptrdiff_t lanes = d.lanes, last = (s->observer_count - 1) * lanes;
+    for (int l = 0; l < lanes; l++) {
+        int lost = 0;
+        for (int i = 0; i < s->observer_count && !isnan(observer[last + l]); i++) {
+            lost = lost || !isfinite(observer[i * lanes + l]);
+        }
+        for (int i = 0; i < s->observer_count && lost; i++) {
+            observer[i * lanes + l] = NAN;
+        }
+    }
+}
+
 /* Control steps start … stop - 1 [DAPF, eqs. 6-14]; `origin` is the ring buffers' number of step 0. The plant advances by
  * `advance`, what the controller believes of it by `model`. A part in Python that fails ends the loop by `failed`. */
 void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const Settings *s, State *z, Record *out,
@@ -159,7 +207,11 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
                 estimate(d, k, origin, s->dt, s->age, z->D_seen, z->held, z->Y, z->X_hat, q->model, s->p, work);
             }
         }
+        if (s->gated) {
+            believe(d, k, origin, t, q, s, z, work);
+        }
         if (q->observe && (k == 0 || taken > 0)) { /* the first sample arrives at once */
+            restart_lost(d, s, z->observer);
             q->observe(d, origin + taken, s->dt, z->Y, z->held, (double)taken * s->dt, s->p, s->law, z->observer, z->D_hat, work);
         }
         decide(d, q, s, z, origin + k, 0.0, t, work);

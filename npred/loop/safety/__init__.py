@@ -59,23 +59,23 @@ class SafetyFilter:
                 f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
                 "enforce its limits in kappa"
             )
-        self.kernel(plant)
+        self.kernels(plant)
 
-    def settings(self, plant: "Plant", dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
+    def numbers(self, plant: "Plant", dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
         """The settings of a loop with it."""
         from npred.loop.safety.filter import numbers
 
         values = numbers(plant, dt, input_bounds, self.margin, self.alpha, self.horizon)
         return {"safety": values, "end_count": self.ends, "uncertain": float(self.delay)}
 
-    def sizes(self, plant: "Plant") -> dict[str, int]:
-        """The sizes of its signals."""
+    def axes(self, plant: "Plant") -> dict[str, int]:
+        """The axes of its signals."""
         from npred.loop.safety.filter import BLOCKS
 
         return {"ends": self.ends, "plan": BLOCKS * (plant.m + 1)}
 
-    def kernel(self, plant: "Plant") -> "Kernel":
+    def kernels(self, plant: "Plant") -> "dict[str, Kernel]":
         """npred.prediction.delays.problem.PROTECT of the plant."""
         from npred.loop.safety.filter import kernel  # brings what compiles, which reading a pipeline has no use for
 
-        return kernel(plant, self.ends)
+        return {"protect": kernel(plant, self.ends)}

@@ -1,0 +1,143 @@
+"""What runs a loop, made of its description here alone: the law, the kernels, the settings and the sizes of its state,
+for loops in lanes and on a clock, for a controller and its exports.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from npred.base import array_checks
+from npred.base.errors import ConfigError
+from npred.estimation.delay_law import DelayLaw, Part, part
+from npred.estimation.observers.base import SIGMAS
+from npred.loop import engine, loop_checks, signals
+from npred.loop.loop import Loop
+from npred.loop.signals import Settings
+from npred.plants import inputs
+from npred.prediction.delays import problem_of
+from npred.prediction.delays.constant import ConstantDelay
+from npred.prediction.methods import RK4
+
+DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
+OLDEST = 100  # control steps, by default the largest age of a sample
+
+
+def first_estimate(loop: Loop) -> tuple[DelayLaw | None, float | None]:
+    """The law, complete, for a delay of D_hat or else of the middle of its bounds; and the first D_hat, None for that
+    of a declared delay. Raises ConfigError where nothing says what it is.
+    """
+    plant, law, D_hat = loop.plant, loop.adaptation, loop.D_hat
+    D_hat = None if D_hat is None else array_checks.number("D_hat", D_hat)
+    if D_hat is None and law is not None and law.bounds is None:
+        what = "expected a first estimate, for the law has no bounds, got none"
+        raise ConfigError(f"D_hat: {what}; give D_hat")
+    if D_hat is None and law is None and not plant.declares_delay:
+        what = f"expected a delay in {plant.time_unit}, for nothing adapts it, got none"
+        raise ConfigError(f"D_hat: {what}; give D_hat")
+    if law is None:
+        return None, D_hat
+    D_hat = sum(law.bounds) / 2 if D_hat is None else D_hat
+    array_checks.delays("D_hat", D := np.array(D_hat))
+    return law.suited(plant, D, D), D_hat
+
+
+def law(loop: Loop) -> Part:
+    """The kernels of U and of the estimate of the delay; the open loop has U = 0."""
+    if loop.predictor is None:
+        return part(loop.plant, None, loop.dt)._replace(control=None)
+    laws = part(loop.plant, loop.adaptation, loop.dt, loop.observer)
+    return laws._replace(control=ConstantDelay(loop.plant).control(RK4.step)) if loop.blind else laws
+
+
+def outputs(loop: Loop) -> tuple[str, ...]:
+    """The names of a sample's numbers: the states, or the outputs of its observer."""
+    return tuple(loop.observer.outputs) if loop.observer else loop.plant.states
+
+
+def oldest(loop: Loop) -> int:
+    """How old a sample may be, in control steps. Raises ConfigError for what is no age."""
+    if not loop.reads_commands:
+        return 0
+    if loop.max_sample_age is None:
+        return OLDEST
+    age = array_checks.number("max_sample_age", loop.max_sample_age)
+    if not 0 <= age < math.inf:
+        what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
+        raise ConfigError(f"max_sample_age: {what}; give a time")
+    return math.floor(age / loop.dt * (1 + 1e-12))
+
+
+def history_length(loop: Loop, bounds: np.ndarray) -> float:
+    """How long commands are kept, by default the largest delay of the estimate. Raises ConfigError for less."""
+    needed = 0.0 if loop.plant.declares_delay else loop.D_hat
+    needed = max(needed, float(bounds[1]) if loop.adaptation else 0.0)
+    if loop.history_length is None:
+        declared = loop.reads_commands and loop.plant.declares_delay and not loop.blind
+        return float(DELAYS * loop.plant.delay(loop.plant.target(0.0), 0.0)) if declared else needed
+    longest = array_checks.number("history_length", loop.history_length)
+    if not needed <= longest < math.inf:
+        what = f"expected at least the largest delay, {loop.plant.time_text(needed)}"
+        raise ConfigError(f"history_length: {what}, got {loop.history_length!r}; raise it")
+    return longest
+
+
+def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
+    """The sentences of a control step on lanes by npred.loop.signals.PARTS, None for those that it does not have."""
+    plant, predictor = loop.plant, loop.predictor
+    model = ConstantDelay(plant) if loop.blind else problem_of(plant)
+    goes_on = loop.reads_commands or loop.safety or not loop.measurement.perfect
+    parts = {
+        "observe": laws.observe,
+        "model_delay": model.horizon(),  # None too where D_hat = 0
+        "predict": predictor and (model.sweep(RK4.step) if loop.blind else predictor.lanes()),
+        "guard": None if loop.blind else getattr(predictor, "guard", None),
+        "control": laws.control,
+        "update": laws.update,
+        "model": engine.advance_kernel(plant, RK4) if goes_on else None,
+    }
+    for own in (loop.observer, loop.watchdog, loop.safety):
+        parts |= own.kernels(plant) if own else {}
+    return parts
+
+
+def settings(loop: Loop, laws: Part, **simulated: Any) -> Settings:
+    """What the kernels are set to; `simulated` are the settings of what is simulated around the controller."""
+    plant, guard, gate = loop.plant, getattr(loop.predictor, "settings", None), loop.outlier_limit
+    limits, watches = inputs.bounds(plant, loop.input_bounds), laws.memory > 1
+    low, high = box = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T  # zeros for no range
+    numbers: dict[str, Any] = {"anew": box.mean(axis=0)}
+    for own in (loop.observer, loop.watchdog, loop.safety):
+        numbers |= own.numbers(plant, loop.dt, limits) if own else {}
+    return signals.settings(
+        dt=loop.dt, b=laws.b, gamma_dt=laws.gamma * loop.dt,
+        reads_commands=loop.reads_commands, stores_commands=loop.reads_commands,
+        gate=(gate or 1.0) * (SIGMAS if loop.observer else 1.0), gated=loop.reads_commands and gate is not None,
+        reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), oldest=float(oldest(loop)),
+        observer_count=laws.memory if watches else 0, judges_outputs=bool(loop.observer) and watches,
+        output_count=len(outputs(loop)), bounds=laws.bounds, p=plant.p.copy(), truth_p=loop.real.p.copy(),
+        ratios=plant.ratios, input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float),
+        law=laws.settings, guard=np.zeros(0) if guard is None or loop.blind else guard, **numbers, **simulated,
+    )  # fmt: skip
+
+
+def sizes(loop: Loop, laws: Part) -> dict[str, int]:
+    """The axes of the signals of its state, but those of the history and of the clock."""
+    plant, predictor = loop.plant, loop.predictor
+    axes = {"n": plant.n, "m": plant.m, "nx": predictor.nx if predictor else 2, "observer": laws.memory}
+    axes |= dict.fromkeys(("past", "filter", "ends", "plan"), 0) | {"outputs": len(outputs(loop))}
+    for own in (loop.observer, loop.watchdog, loop.safety):
+        axes |= own.axes(plant) if own else {}
+    return axes
+
+
+def check(loop: Loop) -> None:
+    """Raise ConfigError for parts of a controller that do not fit together."""
+    loop_checks.parts(loop)
+    if loop.safety is not None:
+        loop.safety.check(loop.plant)
+    if not loop.reads_commands:
+        wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
+        for name in ("max_sample_age", "observer", "watchdog", "safety"):
+            if getattr(loop, name) is not None:
+                raise ConfigError(f"{name}: {wrong}, or no {name}")
