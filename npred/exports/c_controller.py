@@ -159,15 +159,15 @@ def _settings(
     settings = controller.settings
     controls = {s.name: (s, getattr(settings, s.name)) for s in signals.CONTROLS}
     arrays = {name: np.ravel(a).astype(float) for name, (s, a) in controls.items() if s.axes is not None}
+    values = {name: f"({real} *)the_{name}" for name in arrays}
+    for name, (s, value) in controls.items():
+        if s.axes is None:
+            values[name] = literal(value, real) if s.kind == "float64" else str(int(value))
     start = controller.fresh().memory.signals
     if controller.keeps_commands:
         limits = np.ravel(controller.loop.input_bounds)
         arrays |= {"u0": controller.u0, "u0_bounds": limits, "clock": start.clock[:, 0]}
     arrays |= {"filter": start.filter[:, 0]} if controller.observer else {}
-    values = {name: f"({real} *)the_{name}" for name in arrays}
-    for name, (s, value) in controls.items():
-        if s.axes is None:
-            values[name] = literal(value, real) if s.kind == "float64" else str(int(value))
     shape = f"{sizes['NX']}, 1, {sizes.get('ROWS', 0)}, {controller.plant.n}, {controller.plant.m}"
     lines = [f"#define {prefix}_{name} {float(value)!r}" for name, value in numbers.items()]
     lines += [constant(f"the_{name}", a if a.size else np.zeros(1), real) for name, a in arrays.items()]

@@ -158,8 +158,8 @@ class Pair:
         return np.concatenate([np.frombuffer(saved[:8], np.int64).astype(float), np.frombuffer(saved[8:], float)])
 
     def state_of_python(self):
-        python, z = self.python, self.python.memory
-        parts = [[python._step, python._t0], z.D_hat, z.phi_before, z.held, z.total, z.clock]
+        python, z = self.python, self.python.memory.signals
+        parts = [[python.memory.step, python.memory.t0], z.D_hat, z.phi_before, z.held, z.total, z.clock]
         parts += [z.observer] if python.adaptation and "observer" in python.state() else []
         parts += [z.missed, z.filter if python.observer else [], z.plan]
         parts += [python.settings.p] if c_controller.settable(python) else []

@@ -199,7 +199,7 @@ def test_a_lost_loop_leaves_the_picture_and_the_others_are_shown_whole():
 
     plant = npred.plant("cart_pole")
     heun = npred.predictor(plant, "heun", nx=31)
-    settings = {"D": 0.3, "X0": [0.3, 0, 0.1, 0], "t_end": 20, "actuator": "history"}
+    settings = {"D": 0.3, "X0": [0.3, 0, 0.1, 0], "t_end": 20, "input_bounds": [(-1e300, 1e300)]}
     lost, kept = (npred.simulate(plant, heun, D_hat=D_hat, **settings) for D_hat in (0, 0.3))
     assert lost.escaped > 0 and np.nanmax(np.abs(lost.X)) > 1e50 and kept.escaped < 0
     with pyplot.rc_context({"backend": "agg"}):
