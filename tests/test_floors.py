@@ -79,7 +79,7 @@ def test_no_stage_knows_the_store():
 
 def test_npred_does_not_know_its_siblings():
     """The packages beside it: they import npred, and it reaches them by entry points."""
-    siblings = [path.parent.name for path in ROOT.parent.glob("npred_*/__init__.py")]
+    siblings = [path.parent.name for path in ROOT.parent.glob("siblings/*/__init__.py")]
     assert len(siblings) == 3
     texts = {file: text for file, text in MODULES.items() if any(name in text for name in siblings)}
     assert list(texts) == []
