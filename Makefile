@@ -53,7 +53,7 @@ constraints: dev ## the versions in .venv, as constraints.txt
 
 clean: ## remove caches and build output; .venv and artifacts/ stay
 	rm -rf build dist *.egg-info .pytest_cache .ruff_cache .hypothesis docs/_build
-	find npred npred_* tests -type d -name __pycache__ -exec rm -rf {} +
+	find npred siblings tests -type d -name __pycache__ -exec rm -rf {} +
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)

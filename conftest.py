@@ -167,7 +167,7 @@ def npred(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
 
 def process_environment(**more: str) -> dict[str, str]:
     """The environment of a child that imports npred from this checkout."""
-    paths = f"{ROOT}{os.pathsep}{HERE}"
+    paths = os.pathsep.join(map(str, (ROOT, ROOT / "siblings", HERE)))
     kept = {name: value for name, value in os.environ.items() if name not in OWN_SETTINGS}
     return kept | {"PYTHONPATH": paths, "COLUMNS": "200", "OMP_NUM_THREADS": "1", "NPRED_QUIET": "1"} | more
 

@@ -58,7 +58,7 @@ def main() -> None:
     """Print the table."""
     with tempfile.TemporaryDirectory() as folder:
         arm = Path(folder, "six_joint.py")
-        arm.write_text(URDF.format(path=str(HERE.parent / "npred_robots" / "tests" / "six_joint.urdf")))
+        arm.write_text(URDF.format(path=str(HERE.parent / "siblings" / "npred_robots" / "tests" / "six_joint.urdf")))
         rows = []
         for plant in sys.argv[1:] or [*PLANTS, f"{arm}:Arm"]:
             for what in FIRST:

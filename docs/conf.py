@@ -6,7 +6,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 os.environ["NPRED_QUIET"] = "1"  # in the gallery's outputs
-sys.path[:0] = [str(HERE.parent), str(HERE / "extensions")]
+sys.path[:0] = [str(HERE.parent), str(HERE.parent / "siblings"), str(HERE / "extensions")]
 
 import npred  # noqa: E402
 

@@ -141,12 +141,12 @@ ROOT = Path(__file__).parent.parent
 # `tensor.numpy()` raises on a GPU alone: each call says `.cpu()` before it or `force=True`, but in these modules, whose
 # tensors are always the CPU's.
 OF_THE_CPU = {
-    "npred_experiments/bounds.py",  # its own search, on arrays
+    "siblings/npred_experiments/bounds.py",  # its own search, on arrays
     "npred/lab/training/operators/scaling.py",  # made of arrays, before a network moves
-    "npred_experiments/evolution.py",  # its own search, on arrays
+    "siblings/npred_experiments/evolution.py",  # its own search, on arrays
 }
 SAVED = ("npred/networks/", "npred/exports/")  # what is fused or exported was loaded from files, to the CPU
-MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("npred_*/*.py")]
+MODULES = [*(ROOT / "npred").rglob("*.py"), *ROOT.glob("siblings/*/*.py")]
 
 
 def unfetched(text: str) -> list[int]:

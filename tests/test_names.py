@@ -24,7 +24,7 @@ ODD = re.compile(
 )
 VAGUE = {"again", "found", "given", "known", "made", "own", "seen", "some", "told", "wanted"}
 Texts = Mapping[str, str]
-CODE = ("npred/**/*.py", "npred_*/*.py")
+CODE = ("npred/**/*.py", "siblings/*/*.py")
 
 
 def texts(*patterns: str) -> Texts:

@@ -46,7 +46,7 @@ for name in {modules()!r}:
 
 @pytest.mark.slow
 def test_the_tests_are_collected_without_posix(tmp_path):
-    tests = [str(folder) for folder in (HERE, *HERE.parent.glob("npred_*/tests"))]
+    tests = [str(folder) for folder in (HERE, *HERE.parent.glob("siblings/*/tests"))]
     program = f"""
 import as_on_windows, distributed, fmpy, platformdirs.unix, pytest, sys, torch._dynamo, xdist
 as_on_windows.forget()

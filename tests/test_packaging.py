@@ -39,9 +39,10 @@ def test_wheel_and_sources_have_the_modules_that_entry_points_name():
     targets = [target for group in PROJECT["entry-points"].values() for target in group.values()]
     assert targets
     for target in [*targets, *PROJECT["scripts"].values()]:
-        path = ROOT.joinpath(*target.partition(":")[0].split(".")).with_suffix(".py")
-        top = path.relative_to(ROOT).parts[0]
-        assert path.is_file() and top in TARGETS["wheel"]["packages"] and top in TARGETS["sdist"]["include"]
+        top, *inside = target.partition(":")[0].split(".")
+        (package,) = [each for each in TARGETS["wheel"]["packages"] if Path(each).name == top]
+        assert ROOT.joinpath(package, *inside).with_suffix(".py").is_file()
+        assert package.partition("/")[0] in TARGETS["sdist"]["include"]
 
 
 @pytest.mark.parametrize("target", ["install", "dev"])
@@ -94,7 +95,8 @@ def test_wheel_and_sources_have_what_they_should_and_nothing_else(tmp_path: Path
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(
         "\n"
     )
-    package = {name for name in tracked if re.match(r"npred(_\w+)?/(?!tests/)", name)}
+    here = [name.removeprefix("siblings/") for name in tracked]
+    package = {name for name in here if re.match(r"npred(_\w+)?/(?!tests/)", name)}
     pipelines = {
         f"npred/pipelines/{name.removeprefix('pipeline/')}" for name in tracked if name.startswith("pipeline/")
     }

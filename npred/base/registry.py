@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping
 from functools import cache, lru_cache
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from npred.base import json_files
 from npred.base.errors import ConfigError, imported, similar
@@ -179,6 +179,7 @@ NETWORKS = Registry(
         "fno": Entry("npred.lab.training.operators.fno:FNOnetwork", "FNO", fused="npred.networks.fno"),
     },
 )
+Method = Literal["euler", "heun", "rk4", "rosenbrock", "semi_implicit", "picard", "rollout"]  # the names that follow
 METHODS = Registry(
     "predictor",
     "npred.predictors",
@@ -206,6 +207,7 @@ LAWS = Registry(  # kappa, designed from f
 )
 PAPER, OBSERVER, FROZEN = "bresch-pietri-krstic", "delay-observer", "frozen"  # laws for the estimate of the delay
 WITHOUT_V = (FROZEN, "l1", OBSERVER)  # laws that need no V
+Adaptation = Literal["bresch-pietri-krstic", "l1", "delay-observer", "frozen"]  # the names that follow, and no law
 DELAY_LAWS = Registry(
     "adaptation",
     "npred.delay_laws",

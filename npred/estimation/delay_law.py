@@ -4,21 +4,19 @@ import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError
-from npred.base.registry import DELAY_LAWS, FROZEN
+from npred.base.registry import DELAY_LAWS, FROZEN, Adaptation
 from npred.estimation.observers import Observer
 from npred.plants.base import Plant
 from npred.plants.speed import rates
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.delays.problem import Kernel
 from npred.prediction.methods import RK4
-
-Adaptation = Literal["bresch-pietri-krstic", "l1", "delay-observer", "frozen"]  # the registry's names, and no law
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ Nothing is proven about this law; the nearest theory is that of multiple-model e
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -177,10 +177,7 @@ def _traced(plant: Plant, count: int) -> Kernel:
     moves = [sum(g * w * r for g, w, r in zip(column, weights, e, strict=True)) / power for column in G]
     arguments = [vector("x", n), vector("v", m, "wide"), vector("X", n), vector("w", n), "inject", "t", "h"]
     functions = {"STEP": of.function([*y, *e, *moves], arguments, {"out": 2 * n + m}, "wide")}
-    return made(
-        "observe", problem.OBSERVE, skeleton("observe.h"), functions, {"N": n, "M": m},
-        before=[skeleton("candidates.h")], work=lambda nx, lanes, _: 4 * lanes + count,
-    )  # fmt: skip
+    return _compiled(plant, count, functions)
 
 
 def _judging(of: EKF, count: int) -> Kernel:
@@ -202,51 +199,35 @@ def _judging(of: EKF, count: int) -> Kernel:
 
 
 def _called(plant: Plant, count: int) -> Callable[..., None]:
-    """OBSERVE of a plant that is not traced: the same formulas on arrays, G by differences."""
+    """OBSERVE of a plant that is not traced: it takes what STEP writes from here, G by differences."""
     n, m, units = plant.n, plant.m, np.eye(plant.m)
-    before, after = bank(n, m, count)
+    kernel = _compiled(plant, count, {}, 2 * n + m)
 
     @np.errstate(all="ignore")
     def observe(
         k: int, dt: float, X: np.ndarray, held: np.ndarray, t: float, p: np.ndarray, law: np.ndarray,
         memory: np.ndarray, D_hat: np.ndarray,
     ) -> None:  # fmt: skip
-        first = np.isnan(memory[-1, 0])
-        before(dt, X, law, memory, gain := np.empty((4, X.shape[1])))
-        if first:
-            return
-        x, d, long, short, floor, pace = _parts(memory, count, n, m)
+        first, states = np.isnan(memory[-1]), count * n  # f gets no NaN of a memory that has not begun
+        x = np.where(first, X, memory[:states].reshape(count, n, -1))
+        push = np.where(first, 0.0, memory[states : states + count * m].reshape(count, m, -1))
+        floor = memory[3 * states + count * m :][:n]
         shifts = law[NUMBERS : NUMBERS + count * m].astype(int).reshape(count, m)
-        states, inputs = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + d, 1, -1)
-        y = Heun.step(plant.f, states, inputs, inputs, inputs, t - dt, dt)
+        x, v = np.moveaxis(x, 1, -1), np.moveaxis(held[(k - 1 - shifts) % len(held), np.arange(m)] + push, 1, -1)
+        y = Heun.step(plant.f, x, v, v, v, t - dt, dt)
         e, w = np.where(np.isnan(X.T), 0.0, X.T - y), 1.0 / floor.T
-        G = [difference(lambda v: plant.f(states, v, t - dt), inputs, np.broadcast_to(v, inputs.shape)) for v in units]
+        G = [difference(lambda v: plant.f(x, v, t - dt), v, np.broadcast_to(unit, v.shape)) for unit in units]
         power = sum((w * g * g).sum(axis=-1) for g in G) + 1e-300
-        for c, g in enumerate(G):
-            d[:, c] += gain[1] * (w * g * e).sum(axis=-1) / power
-        squares = np.moveaxis(e * e, -1, 1)
-        long += pace * (squares - gain[2] * long)
-        short[:] = gain[3] * short + squares
-        x[:] = np.moveaxis(y + gain[0][:, None] * e, -1, 1)
-        after(X, law, memory, gain, D_hat)
+        moves = [((w * g * e).sum(axis=-1) / power)[..., None] for g in G]
+        moved = np.moveaxis(np.concatenate([y, e, *moves], axis=-1), -1, 1)
+        kernel(k, dt, X, held, t, p, law, memory, D_hat, scratch=moved.ravel())
 
     return observe
 
 
-def bank(n: int, m: int, count: int) -> tuple[Kernel, Kernel]:
-    """The kernels that all plants share: gains of the samples, before the observers step, and the choice after it."""
-    sizes, before = {"N": n, "M": m}, [skeleton("candidates.h")]
-    kinds = {"gains": ("dt, X, law, &memory, &gain", 1), "choose": ("X, law, &memory, gain, &D_hat", 0)}
-    gains, choose = (
-        made(name, arguments, skeleton("bank.h"), {}, sizes | {"BEFORE": first}, {}, before, work=lambda *_: count)
-        for name, (arguments, first) in kinds.items()
-    )
-    return gains, choose
-
-
-def _parts(memory: np.ndarray, count: int, n: int, m: int) -> list[np.ndarray]:
-    """Views of a memory, as the struct Bank has it: x, push, lasting, recent (K, ., B), floor (n, B), pace (B,)."""
-    lanes, sizes = memory.shape[1], [count * n, count * m, count * n, count * n, n]
-    ends = np.cumsum([0, *sizes]).tolist()
-    sums = [memory[a:b].reshape(count, -1, lanes) for a, b in zip(ends[:4], ends[1:5], strict=True)]
-    return [*sums, memory[ends[4] : ends[5]], memory[-2]]
+def _compiled(plant: Plant, count: int, functions: Mapping[str, str], called: int = 0) -> Kernel:
+    """OBSERVE of a plant's state, for at most `count` candidates: `called` numbers of each that come before a call."""
+    return made(
+        "observe", problem.OBSERVE, skeleton("observe.h"), functions, {"N": plant.n, "M": plant.m, "MOVED": called},
+        before=[skeleton("candidates.h")], work=lambda nx, lanes, _: (4 + count * called) * lanes + count,
+    )  # fmt: skip

@@ -10,10 +10,12 @@ from hypothesis import strategies as st
 
 import npred
 from npred.base.errors import ConfigError
-from npred.estimation.delay_observer import NUMBERS, bank
+from npred.estimation.delay_observer import NUMBERS
+from npred.kernels.kernel import skeleton
 from npred.loop import engine
 from npred.loop.measurement import Measurement
 from npred.plants import Plant
+from npred.prediction.delays import problem
 
 PLANT = npred.plant("activator_repressor")
 FEW = 20.0  # samples that the window has at least
@@ -234,6 +236,13 @@ def test_a_loop_that_is_lost_stops_no_other_estimate():
     assert abs(estimates([0.5])[-1] - 0.4) < 0.02
 
 
+def of_lanes(arguments, call, n, count):
+    """A function of candidates.h, called for each lane, of n numbers that are compared and one input."""
+    body = f"    const Bank b = bank(d, law, memory);\n    for (int l = 0; l < d.lanes; l++) {call};\n"
+    kernel = problem.build("of_lanes", arguments, body)
+    return replace(kernel, before=(skeleton("candidates.h"),), sizes=(n, 1), work=lambda *_: count)
+
+
 @pytest.mark.parametrize("omega", [8.0, 0.75, 0.2, 0.0])
 def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     """Of x and d, for a gap of T seconds, where those of s² + L s + L omega = 0 are in continuous time."""
@@ -241,7 +250,8 @@ def test_the_gains_over_a_gap_place_the_poles_of_the_observer_s_errors(omega):
     (_, settings, size), steps, dt, gain = law.observer(SCALAR, 0.01), 30, 0.01, np.empty((4, 2))
     memory = np.ones((size, 2))
     memory[-1] = steps - 1.0  # the gap
-    bank(1, 1, int(settings[0]))[0](dt, np.array([[1.0, np.nan]]), settings, memory, gain)
+    gains = of_lanes("dt, X, law, &memory, &gain", "gains(d, &b, l, X[l], dt, law, gain)", 1, 0)
+    gains(dt, np.array([[1.0, np.nan]]), settings, memory, gain)
     T, (inject, push) = steps * dt, gain[:2, 0]
     error_of_both = [[1 - inject, (1 - inject) * T], [-push, 1 - push * T]]
     roots = np.roots([1.0, 3.0, 3.0 * omega]).astype(complex)
@@ -267,6 +277,26 @@ def test_the_observers_of_a_loop_touch_those_of_no_other():
     together = after(np.arange(lanes))
     for lane in (1, 2, 5, 65, 69):
         np.testing.assert_allclose(after([lane])[:, 0], together[:, lane], rtol=1e-9)
+
+
+@pytest.mark.parametrize("plant", [follower(), npred.plants.make("called", CalledFollower)], ids=["traced", "called"])
+def test_the_observers_of_a_loop_begin_with_its_own_first_sample(plant):
+    """Whatever the others do: the second loop has its first sample at the step 3."""
+    kernel, settings, size = npred.DelayObserver(bounds=(0.05, 1.0)).observer(plant, 0.01)
+    X, held = np.random.default_rng(0).uniform(0.5, 1.5, (9, 1, 2)), np.zeros((200, 1, 2))
+    X[:3, :, 1] = np.nan
+
+    def after(kept, steps):
+        memory, D_hat = np.full((size, len(kept)), np.nan), np.full(len(kept), 0.5)
+        for k in steps:
+            sample, commands = (np.ascontiguousarray(a[..., kept]) for a in (X[k], held))
+            kernel(k, 0.01, sample, commands, 0.01 * k, plant.p, settings, memory, D_hat)
+        return np.vstack([memory, D_hat])
+
+    together = after([0, 1], range(9))
+    np.testing.assert_array_equal(together[:, :1], after([0], range(9)))
+    np.testing.assert_array_equal(together[:, 1:], after([1], range(3, 9)))
+    assert np.isfinite(together).all()
 
 
 class Waved:
@@ -344,7 +374,9 @@ def sampled_by(lasting, recent, D_hat, X, calls):
     """The whole memory and the estimate after such a sample."""
     law, memory = remembered(lasting, recent, X, calls)
     estimate, gain = np.array([D_hat]), np.array([[0.0], [0.0], [0.01], [0.9]])
-    bank(len(X), 1, len(lasting))[1](np.array(X)[:, None], law, memory, gain, estimate)
+    call = "choose(d, &b, l, X, gain, law, work, D_hat)"
+    choose = of_lanes("X, law, &memory, gain, &D_hat", call, len(X), len(lasting))
+    choose(np.array(X)[:, None], law, memory, gain, estimate)
     return memory[:, 0], estimate[0]
 
 

@@ -51,23 +51,21 @@ static inline Bank bank(Shape d, const double *law, double *memory)
     return b;
 }
 
-/* Start every observer at X, without errors. */
-static inline void begin_bank(Shape d, const Bank *b, const double *X)
+/* Start every observer of lane l at X, without errors. */
+static inline void begin(Shape d, const Bank *b, int l, const double *X)
 {
     const ptrdiff_t states = (ptrdiff_t)b->n * d.lanes;
-    for (double *number = b->x; number < b->gap + d.lanes; number++) {
+    for (double *number = b->x + l; number < b->gap + d.lanes; number += d.lanes) {
         *number = 0.0;
     }
-    for (ptrdiff_t a = 0; a < states; a++) {
+    for (ptrdiff_t a = l; a < states; a += d.lanes) {
         b->floor[a] = 1.0;
         b->scale[a] = fabs(X[a]);
         for (int i = 0; i < b->K; i++) {
             b->x[i * states + a] = X[a];
         }
     }
-    for (int l = 0; l < d.lanes; l++) {
-        b->calls[l] = b->pace[l] = 1.0;
-    }
+    b->calls[l] = b->pace[l] = 1.0;
 }
 
 /* Count a control step, and write the gains of lane l's sample: inject, push, leak, fade.
@@ -75,14 +73,14 @@ static inline void begin_bank(Shape d, const Bank *b, const double *X)
  * With T the time since the sample before, the errors of x and d get the poles e^{sT}, s² + L s + L ω = 0:
  *     inject = 1 - e^{-LT},   push = (1 + e^{-LT} - 2 e^{-LT/2} cos(T √(L ω - L²/4))) / T,
  * of which L ω is the limit of push / T for small T. What is forgotten is that of the time T, but at most of a share
- * 1 / FEW of the window. A loop without a sample, NaN, forgets and corrects nothing. */
+ * 1 / FEW of the window. A loop without a sample, NaN, or before its first one, forgets and corrects nothing. */
 static inline void gains(Shape d, const Bank *b, int l, double X, double dt, const double *law, double *gain)
 {
     const int lanes = d.lanes;
     double counted;
     b->gap[l] += 1.0;
     b->age[l] += 1.0;
-    if (isnan(X)) {
+    if (isnan(X) || isnan(b->gap[l])) {
         gain[l] = gain[lanes + l] = gain[2 * lanes + l] = 0.0;
         gain[3 * lanes + l] = 1.0;
         return;
@@ -203,7 +201,7 @@ static inline void listen(Shape d, const Bank *b, int l, const double *X, const 
     b->age[l] -= news * gain[2 * d.lanes + l] * b->age[l];
 }
 
-/* Move the estimate of lane l to the best candidate, where the candidates differ.
+/* Move the estimate of lane l to the best candidate, where the candidates differ; its first sample starts its observers.
  *
  * What the errors tell is the largest cost, and `news` is how far it is beyond the smallest one and chance. Where the
  * window tells far less than the memory, the pace of the memory is slow; and where it tells about as much, errors far
@@ -217,7 +215,10 @@ static inline void choose(Shape d, const Bank *b, int l, const double *X, const 
     const int first = b->calls[l] <= law[PATIENCE], K = b->K;
     double window, memory, largest, near = INFINITY, ratio, news;
     int best, k, risen;
-    if (isnan(X[l])) {
+    if (isnan(X[l]) || isnan(b->gap[l])) {
+        if (!isnan(X[l])) {
+            begin(d, b, l, X);
+        }
         return;
     }
     weigh(d, b, l, X, first, leak);

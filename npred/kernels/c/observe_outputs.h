@@ -47,7 +47,7 @@ static inline void KERNEL(Shape d, INDEX k, double dt, const double *X, const do
         for (int c = 0; c < OUTPUTS; c++) {
             Y[c] = 0.0;
         }
-        begin_bank(d, &b, Y);
+        begin(d, &b, 0, Y);
     }
     best = compare(d, &b, b.lasting, b.floor, cost, &largest);
     for (int c = 0; c < M; c++) {

@@ -1,9 +1,9 @@
 """The table [evaluate] with its scenarios and its guard."""
 
 from dataclasses import replace
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 
 from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, Setpoint, StateObserver
 from npred.lab.config.section import (
@@ -20,7 +20,7 @@ from npred.lab.config.section import (
     Some,
 )
 from npred.loop.loop import Actuator
-from npred.loop.measurement import Sensors
+from npred.loop.measurement import PER_STATE, Sensors
 
 CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
@@ -39,18 +39,22 @@ class Jump(Section):
     at: Delay  #: in the plant's unit of time
 
 
-class Scenario(Section):
-    """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
+class Named(Section):
+    """A scenario's name."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
-    relative_noise: PerState | None = None  #: as measurement.relative_noise
-    noise: PerState | None = None  #: as measurement.noise
-    bias: PerState | None = None  #: as measurement.bias
-    resolution: PerState | None = None  #: as measurement.resolution
-    period: Number | None = None  #: as measurement.period
-    jitter: Number | None = None  #: as measurement.jitter
-    delay: Number | None = None  #: as measurement.delay
-    drop: Number | None = None  #: as measurement.drop
+
+
+_kinds: dict[str, Any] = dict.fromkeys(Sensors.__dataclass_fields__, Number) | dict.fromkeys(PER_STATE, PerState)
+_sensors: dict[str, Any] = {
+    name: (kind | None, Field(None, description=f"as measurement.{name}")) for name, kind in _kinds.items()
+}
+Sensed: Any = create_model("Sensed", __base__=Named, **_sensors)
+
+
+class Scenario(Sensed):
+    """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
+
     parameters_scale: Positive | None = None  #: factor of all parameters of the simulated plant
     parameters: dict[str, Number] = {}  #: as truth
     disturbance: Disturbance | None = None  #: as disturbance

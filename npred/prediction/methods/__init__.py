@@ -1,17 +1,13 @@
 """Predictors: maps from (X, u, D_hat) to P."""
 
-from typing import Literal
-
 from npred.base.errors import ConfigError
-from npred.base.registry import METHODS
+from npred.base.registry import METHODS, Method
 from npred.plants.base import Plant, require
 from npred.prediction.methods.base import Compiled, OneStep, Predictor
 from npred.prediction.methods.picard import Picard
 from npred.prediction.methods.runge_kutta import RK4, Euler, Heun
 
 __all__ = ["Compiled", "Euler", "Heun", "OneStep", "Picard", "Predictor", "RK4", "method", "numerical", "predictor"]
-
-Method = Literal["euler", "heun", "rk4", "rosenbrock", "semi_implicit", "picard", "rollout"]  # those of the registry
 
 
 def method(spec: str, what: str = "predictor") -> type[Predictor]:

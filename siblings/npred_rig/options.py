@@ -1,7 +1,6 @@
-"""The command `npred rig`, as the command line declares it: its work is imported when it is called."""
+"""The flags of `npred rig` that the work behind it reads."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 from npred.cli.options import WATCHDOG, Piped, flag
@@ -22,15 +21,3 @@ class Rigged(Piped):
     seed: Annotated[int, flag("Seed of network and sensor noise.", least=0)] = 0
     watchdog: Annotated[str, WATCHDOG] = ""
     model: Annotated[str | None, flag("Predict with a trained network, as deeponet.")] = None
-
-
-def rig(
-    options: Rigged,
-    *,
-    log: Annotated[Path | None, flag("Write the log here; by default NAME-rig.csv.", word="FILE.csv")] = None,
-    figure: Annotated[Path | None, flag("Draw the log: SVG, PDF or PNG.", word="FILE")] = None,
-) -> None:
-    """Run plant and controller of [evaluate] as two processes on a real clock, with a network between them."""
-    from npred_rig.rig import rig
-
-    rig(options, log, figure)

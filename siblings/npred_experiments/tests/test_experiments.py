@@ -13,7 +13,7 @@ from npred_experiments import EXPERIMENTS, rows
 from npred_experiments.experiment import NUMERICAL, Place, load
 from npred_experiments.planner import ExperimentPlanner
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "reproduce.md").read_text()
 PUBLISHED = (DOCS / "published.md").read_text().replace("−", "-").splitlines()
 MEASURED = json.loads((Path(__file__).parent / "measured.json").read_text())  # npred reproduce --numerical --json
