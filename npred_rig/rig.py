@@ -21,8 +21,8 @@ from npred.lab.report.terminal import interruption
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.models import load_model, loaded
 from npred.loop import loop_checks, metrics, settable
+from npred.loop.acts import HISTORY
 from npred.loop.controller import OLDEST, Controller
-from npred.loop.loop import HISTORY
 from npred.plants import Plant
 from npred.prediction.methods import numerical
 from npred_rig import log, network, sides

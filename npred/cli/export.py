@@ -17,8 +17,8 @@ from npred.guard.guarded import Guarded
 from npred.lab import config
 from npred.lab.config import PAPER, Evaluate, conditions
 from npred.lab.scheduler.models import held_out, load_model
+from npred.loop.acts import HISTORY
 from npred.loop.controller import Controller
-from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
 from npred.networks import weights
 from npred.networks.fused import Fused

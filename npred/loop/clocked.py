@@ -7,14 +7,12 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from npred.base import devices
-from npred.base.errors import ConfigError
 from npred.loop import measurement as sensing
 from npred.loop import settable, signals
 from npred.loop.controller import OLDEST, Controller
@@ -25,32 +23,8 @@ from npred.loop.simulation import Simulation
 from npred.loop.timing import Timing, schedule
 from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
-from npred.plants.base import Plant
 
-ON_A_CLOCK = {  # parts that need a real clock, and the cure if there is none
-    "timing": "leave it out",
-    "observer": "step npred.controller with it, or give measurement=npred.Measurement(observer=a function of yours)",
-    "watchdog": "step npred.controller with it",
-}
 SPARE = 4  # control steps that a sample may come later than the delay of the samples
-
-
-def check(loop: Loop) -> None:
-    """Raise ConfigError for parts that a loop on a real clock cannot have."""
-    if not loop.reads_commands:
-        raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {loop.actuator!r}; give it')
-    if loop.predictor is None:
-        raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
-    serves(loop.plant, next(name for name in ON_A_CLOCK if getattr(loop, name) is not None))
-    if loop.measurement.observer is not None:
-        raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
-
-
-def serves(plant: Plant, part: str = "timing") -> None:
-    """Raise ConfigError for a plant whose loops cannot run on a real clock, which that part needs."""
-    if plant.declares_delay:
-        what = f"expected a plant that does not declare its delay, got {plant.name}"
-        raise ConfigError(f"{part}: {what}; {ON_A_CLOCK[part]}")
 
 
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:
@@ -123,7 +97,7 @@ def _controller(of: Loop, D_hat: float, past: inputs.Past) -> Controller:
         reach = max(D_hat, law.bounds[1] if law and law.bounds else 0.0) + age
         rows = past.steps(math.ceil(reach / of.dt) + SPARE, of.dt)[:, :, 0]
         u0 = lambda t: rows[max(math.floor(t / of.dt) + len(rows), 0)]  # noqa: E731
-    return Controller(replace(of, D_hat=D_hat, u0=u0, max_sample_age=age))
+    return Controller(of.filled(D_hat=D_hat, u0=u0, max_sample_age=age))
 
 
 def _events(simulation: Simulation, number: int, outputs: int, past: inputs.Past) -> Events:

@@ -5,7 +5,6 @@ import json
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, Unpack
 
@@ -18,11 +17,12 @@ from npred.base.notebook import InNotebook
 from npred.base.progress import say
 from npred.estimation.delay_law import Adaptation, DelayLaw, Part, part
 from npred.estimation.observers.base import SIGMAS
-from npred.loop import control_step, engine, loop_checks, settable, signals
+from npred.loop import control_step, engine, settable, signals
+from npred.loop.acts import HISTORY
 from npred.loop.actuator import history
 from npred.loop.clock import Clock
 from npred.loop.engine import Engine
-from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
+from npred.loop.loop import ControllerParts, Loop
 from npred.loop.status import Status
 from npred.loop.timing import ROUNDING, SNAP, snapped
 from npred.plants import inputs, setpoint
@@ -72,7 +72,7 @@ def controller(
         For parts that do not fit together, and for an unknown one.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
-    return Controller(Loop.of("controller", REALITY, named | {"actuator": HISTORY} | {**parts}))
+    return Controller(Loop.of("controller", ("X0",), named | {"actuator": HISTORY} | {**parts}))
 
 
 class Controller(InNotebook):
@@ -107,31 +107,15 @@ class Controller(InNotebook):
 
     def __init__(self, loop: Loop) -> None:
         plant, predictor, law = loop.plant, loop.predictor, loop.adaptation
-        loop_checks.parts(loop)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
-        if not 0 < (dt := array_checks.number("dt", loop.dt)) < math.inf:
-            raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
-        gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
-        if gate is not None and not 0 < gate < math.inf:
-            what = "expected a number above 0, or None for no limit"
-            raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
-        if loop.safety is not None:
-            loop.safety.check(plant)
-        if not loop.reads_commands:
-            wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
-            for name in ("max_sample_age", "observer", "watchdog", "safety"):
-                if getattr(loop, name) is not None:
-                    raise ConfigError(f"{name}: {wrong}, or no {name}")
-        age = OLDEST * dt if loop.max_sample_age is None else array_checks.number("max_sample_age", loop.max_sample_age)
-        if not 0 <= age < math.inf:
-            what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
-            raise ConfigError(f"max_sample_age: {what}; give a time")
+        dt, gate = array_checks.number("dt", loop.dt), loop.outlier_limit
+        age = OLDEST * dt if loop.max_sample_age is None else loop.max_sample_age
         self._oldest = math.floor(age / dt * (1 + 1e-12)) if loop.reads_commands else 0  # in control steps
         law, D_hat = self._first_estimate(loop)
         limits = inputs.bounds(plant, loop.input_bounds)
         u0 = inputs.start(plant, loop.u0, limits)
-        self._loop = replace(loop, dt=dt, adaptation=law, input_bounds=limits, u0=u0, outlier_limit=gate)
+        self._loop = loop.filled(dt=dt, adaptation=law, input_bounds=limits, u0=u0)
         self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
         self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
         kernels = part(plant, law, dt, loop.observer)
@@ -474,7 +458,7 @@ class Controller(InNotebook):
     @property
     def loop(self) -> Loop:
         """The description that another controller with these parts and this D_hat is made of."""
-        return replace(self._loop, D_hat=self.D_hat, history_length=self._longest)
+        return self._loop.filled(D_hat=self.D_hat, history_length=self._longest)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"
@@ -498,7 +482,7 @@ class Controller(InNotebook):
         if longest is None:
             declared = self._reads_commands and self.plant.declares_delay
             longest = DELAYS * float(self.plant.delay(self.plant.target(0.0), 0.0)) if declared else needed
-        elif not needed <= array_checks.number("history_length", longest) < math.inf:
+        elif longest < needed:
             what = f"expected at least the largest delay, {self.plant.time_text(needed)}"
             raise ConfigError(f"history_length: {what}, got {longest!r}; raise it")
         longest = float(longest)
