@@ -121,8 +121,8 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
         stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
         predictor = loaded(stored, table.nx, "cpu", None)
         predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
-    age = max(OLDEST * table.dt, 2 * channel.longest)
-    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog)}
+    age = table.max_sample_age or max(OLDEST * table.dt, 2 * channel.longest)
+    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog) or table.watchdog}
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)

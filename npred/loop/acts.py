@@ -57,17 +57,17 @@ class Need(NamedTuple):
     words: str
     came: Callable[[Any], Any]
     cure: str = ""
-    of_plant: bool = False  # whether it asks the plant, which a pipeline's table does not know
+    whole: bool = False  # whether it asks what a pipeline's table, which names no plant, does not have
 
 
-COMMANDS = Need(lambda of: of.reads_commands, f'actuator="{HISTORY}"', lambda of: repr(of.actuator), "give it")
+COMMANDS = Need(lambda of: of.actuator == HISTORY, f'actuator="{HISTORY}"', lambda of: repr(of.actuator), "give it")
 FEEDBACK = Need(lambda of: of.predictor is not None, "a predictor", lambda of: "None, the open loop", "give one")
 SEEN = FEEDBACK._replace(has=lambda of: of.predictor is not None or of.measurement.observer is not None)
 SIMULATED = Need(lambda of: not of.alone, "a simulated loop", lambda of: "a controller alone")
 ALONE = Need(lambda of: of.alone, "a controller alone", lambda of: "a simulated loop", "take npred.controller")
 UNDECLARED = Need(
     lambda of: not of.plant.declares_delay, "a plant that does not declare its delay", lambda of: of.plant.name,
-    of_plant=True,
+    whole=True,
 )  # fmt: skip
 SERVED = UNDECLARED._replace(has=lambda of: of.alone or not of.plant.declares_delay)
 ESTIMATED = UNDECLARED._replace(
@@ -81,11 +81,11 @@ LATE = Need(
     lambda of: "those of each control step, at once", "give the measurement a period or a delay",
 )  # fmt: skip
 KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
-DELAYED = Need(lambda of: of.alone or of.delayed, "a delay", lambda of: "D = 0", "give D above 0", of_plant=True)
-FILTERED = COMMANDS._replace(has=lambda of: of.reads_commands or not (of.alone or of.safety.delay))
+DELAYED = Need(lambda of: of.alone or of.delayed, "a delay", lambda of: "D = 0", "give D above 0", whole=True)
+FILTERED = COMMANDS._replace(has=lambda of: of.actuator == HISTORY or not (of.alone or of.safety.delay))
 COMPILED = Need(
     lambda of: of.measurement.observer is None or not of.on_a_clock, "no observer in Python on a clock",
-    lambda of: "one", "give the loop an observer of npred.observers",
+    lambda of: "one", "give the loop an observer of npred.observers", whole=True,
 )  # fmt: skip
 
 NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always act
@@ -111,11 +111,11 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
 }  # fmt: skip
 
 
-def refuse(of: Any, given: Collection[str], with_plant: bool = True) -> None:
+def refuse(of: Any, given: Collection[str], whole: bool = True) -> None:
     """Raise ConfigError where one of the parts that are given cannot act in a loop, or in a pipeline's table of one."""
     for name, needs in NEEDS.items():
         for need in needs if name in given else ():
-            if (with_plant or not need.of_plant) and not need.has(of):
+            if (whole or not need.whole) and not need.has(of):
                 cure = f"{need.cure}, or no {name}" if need.cure else f"leave {name} out"
                 raise ConfigError(f"{name}: expected {need.words}, got {need.came(of)}; {cure}")
 

@@ -135,5 +135,5 @@ def test_the_open_loop_switches_when_the_last_command_before_it_arrives():
 
 @pytest.mark.parametrize("D_hat", [0.3, [0.0, 0.1]])
 def test_another_estimate_of_a_declared_delay_is_refused(D_hat):
-    with pytest.raises(ConfigError, match="D_hat: expected a plant that .*; give 0 for no prediction, or no D_hat"):
+    with pytest.raises(ConfigError, match=r"D_hat: expected a plant that .*; give 0 for no prediction, or no D_hat"):
         npred.simulate(TANK, RK4(TANK, 21), X0=(2.8, 25.0), t_end=1.0, D_hat=D_hat)
