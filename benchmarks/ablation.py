@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--store", default="artifacts")
     asked = parser.parse_args()
     shared = ['train.models=["deeponet"]', f"train.deeponet.epochs={asked.epochs}", "train.deeponet.snapshots=[]"]
-    shared += ["evaluate.map_D=[]", "evaluate.map_D_hat0=[]"]  # the cases at D = 1 tell the rows apart
+    shared += ["evaluate.map_D=[]", "evaluate.map_D_hat=[]"]  # the cases at D = 1 tell the rows apart
     print("| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS), flush=True)
     for name, changes in ROWS.items():
         print(line(name, evaluate(asked.pipeline, asked.store, shared + changes)), flush=True)

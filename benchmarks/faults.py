@@ -70,7 +70,7 @@ case_t_end = 3.0
 dt = 0.01
 nx = 21
 case_states = 2
-case_D_hat0 = [0.8, 1.2]
+case_D_hat = [0.8, 1.2]
 [bench]
 dx = [0.1]
 calls = 12

@@ -48,7 +48,7 @@ def conditions(plant: Plant, pipeline: config.Pipeline, loops: int, t_end: float
     def flipped(X_hat: np.ndarray, Y: np.ndarray, U: np.ndarray, t: float) -> np.ndarray:
         return -Y if round(t / table.dt) in wrong else Y
 
-    near = np.array(pipeline.generate.D_hat0, dtype=float) if frozen else np.array([0.3, 2.5])
+    near = np.array(pipeline.generate.D_hat, dtype=float) if frozen else np.array([0.3, 2.5])
     nominal = Condition(table, X0, D, rng.uniform(near.min(), near.max(), loops), t_end, seed=0)
     slow, faster = table.model_copy(update={"D": 2 * D}), Scenario(name="faster", jump=Jump(at=at, to=D / 4))
     return {

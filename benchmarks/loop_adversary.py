@@ -58,7 +58,7 @@ def attack(z: np.ndarray, plant: Plant, pipeline: config.Pipeline, options: argp
     generate, n, m = pipeline.generate, plant.n, plant.m
     ranges, steps = box(plant, generate), round(ATTACKED * options.t_end / pipeline.evaluate.dt)
     X0, (a, b), pushes, when, offsets = np.split(z, np.cumsum([n, 2, SPANS * m, SPOOFED]))
-    D_hat = between(b, np.array(generate.D_hat0, dtype=float).ravel())
+    D_hat = between(b, np.array(generate.D_hat, dtype=float).ravel())
     at = (when * steps).astype(int)
     wrong = options.spoof * (2 * offsets.reshape(SPOOFED, n) - 1) * (ranges[:, 1] - ranges[:, 0])
     return Attack(

@@ -23,7 +23,7 @@ SETS = {  # pipeline: what is set in it
     "chemostat": ["evaluate.t_end=30.0", "evaluate.case_t_end=30.0"],
     "van_der_pol": ['tune.free=["k1", "k2"]', "tune.bounds={ k1 = [1.0, 20.0], k2 = [1.0, 20.0] }"],
     "cart_pole": [
-        'kappa="lqr"', 'tune.free=["Q.p", "R.F"]', 'evaluate.adaptation="frozen"', "evaluate.case_D_hat0=[0.2]",
+        'kappa="lqr"', 'tune.free=["Q.p", "R.F"]', 'evaluate.adaptation="frozen"', "evaluate.case_D_hat=[0.2]",
         "evaluate.t_end=20.0", "evaluate.case_t_end=20.0",
     ],
 }  # fmt: skip

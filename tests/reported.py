@@ -13,7 +13,7 @@ from npred.lab.store import Store
 
 MAP = {
     "map_D": [0.5, 1.0],
-    "map_D_hat0": [0.8, 1.2, 2.0],
+    "map_D_hat": [0.8, 1.2, 2.0],
     "case_t_end": 4.0,
     "t_end": 3.0,
     "figure_bounds": [[-9.0, 9.0]],

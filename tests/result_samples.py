@@ -7,7 +7,7 @@ from npred.lab.config.results.evaluate import Evaluated, Scores
 
 ERRORS = {"mse": 1.2e-7, "eps_sup": 0.0184, "eps_kappa": 3.4e-3, "rel_l2": 1e-4}
 RADIUS = {"median": 9e-15, "worst": 5.2e-5, "converged": 0.98, "cases": 50, "predicted": None}
-MAP = {"D": [0.5, 1.0], "D_hat0": [0.3, 0.6, 0.9], "converged": [[True] * 3] * 2, "share": 0.96, "band": None}
+MAP = {"D": [0.5, 1.0], "D_hat": [0.3, 0.6, 0.9], "converged": [[True] * 3] * 2, "share": 0.96, "band": None}
 END = {"X_end": [0.0], "D_hat_end": None, "radius": 0.0, "settle_time": 3.0}
 SCORES = {
     **ERRORS, "kinds": {kind: ERRORS | {"above": 0.1} for kind in ("nominal", "exploring")}, "fresh": ERRORS,

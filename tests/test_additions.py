@@ -71,7 +71,7 @@ KINDS = {  # what is added to each file, by the text that follows it; and what w
 skewed = npred.Measurement(skew=0.5)
 assert run(X0=[1.0], D_hat=0.0, measurement=skewed).U[0] == run(X0=[1.5], D_hat=0.0).U[0]
 assert skewed.sampled(np.ones(1), np.random.default_rng(0)) == 1.5
-both = table(measurement={"skew": 0.1}, scenarios=[{"name": "a", "skew": 0.5}])
+both = table(measurement={"skew": 0.1}, scenarios=[{"name": "a", "measurement": {"skew": 0.5}}])
 assert both.measurement.skew == 0.1 and both.under(both.scenarios[0]).measurement.skew == 0.5
 """,
     ),

@@ -44,7 +44,7 @@ X0 = [0.03, 30.0]
 t_end = 3.0
 case_t_end = 3.0
 case_states = 2
-case_D_hat0 = [1.0]
+case_D_hat = [1.0]
 dt = 0.01
 nx = 21
 [bench]

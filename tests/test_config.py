@@ -166,7 +166,7 @@ def test_a_pipeline_is_frozen(empty: Path):
         ("generate.bounds=[2, 1]", ["generate", "bounds", "low <= high", "[2.0, 1.0]"]),
         ("generate.u0=warm", ["generate.u0", "number", "'equilibrium' or 'law'", "'warm'"]),
         ("generate.u0=nan", ["generate.u0", "finite", "nan"]),
-        ("generate={bounds=[0.1, 1.5], D_hat0=[[1.0, 2.0]]}", ["generate", "D_hat0[0]", "[1.0, 2.0]", "[0.1, 1.5]"]),
+        ("generate={bounds=[0.1, 1.5], D_hat=[[1.0, 2.0]]}", ["generate", "D_hat[0]", "[1.0, 2.0]", "[0.1, 1.5]"]),
         ("evaluate={bounds=[0.1, 4.0], D=9}", ["evaluate.D: expected within bounds = [0.1, 4.0], got 9;"]),
         ("evaluate.bounds=[1.5, 4]", ["evaluate.D: expected within bounds = [1.5, 4.0], got 1;"]),
         (
@@ -174,8 +174,8 @@ def test_a_pipeline_is_frozen(empty: Path):
             ["generate.D: expected within bounds = [0.1, 4.0], got [0.05, 1.0]"],
         ),
         ("train.fno.nodes=40", ["train.fno.nodes", "generate.nx - 1 = 100, got 40", "2, 3, 5, 6, 11, 21, 26, 51, 101"]),
-        ("evaluate={bounds=[0.1, 4.0], D_hat0=9}", ["evaluate", "D_hat0", "9", "[0.1, 4.0]"]),
-        ("evaluate={bounds=[0.1, 4.0], case_D_hat0=[1, 9]}", ["evaluate", "case_D_hat0[1]", "9", "[0.1, 4.0]"]),
+        ("evaluate={bounds=[0.1, 4.0], D_hat=9}", ["evaluate", "D_hat", "9", "[0.1, 4.0]"]),
+        ("evaluate={bounds=[0.1, 4.0], case_D_hat=[1, 9]}", ["evaluate", "case_D_hat[1]", "9", "[0.1, 4.0]"]),
         ("generate.rollouts=1", ["generate", "rollouts", "at least 2", "1"]),
         ("generate.D=[2, 1]", ["generate", "D:", "low <= high", "[2.0, 1.0]"]),
         ("train.models=['cnn']", ["train.models", "expected one of deeponet, fno", "table [train.NAME]", "'cnn'"]),
@@ -284,17 +284,15 @@ plant = "scalar"
 measurement = { relative_noise = 0.01, period = 0.05 }
 [[evaluate.scenarios]]
 name = "noise"
-relative_noise = 0.03
+measurement = { relative_noise = 0.03, period = 0.05 }
 [[evaluate.scenarios]]
 name = "errors"
-noise = 0.1
-bias = [-0.2]
-resolution = [0.5]
+measurement = { noise = 0.1, bias = [-0.2], resolution = [0.5] }
 [[evaluate.scenarios]]
 name = "drift"
 drift = { amplitude = 0.3, period = 60.0 }
 adaptation = "law.py:Law"
-D_hat0 = [0.5]
+D_hat = [0.5]
 t_end = 20.0
 """
 
@@ -305,16 +303,18 @@ def test_a_scenario_takes_the_place_of_the_keys_that_it_gives(tmp_path: Path):
     evaluate = config.load(path).evaluate
     noise, errors, drift = (evaluate.under(scenario) for scenario in evaluate.scenarios)
     assert noise.measurement == Sensors(relative_noise=0.03, period=0.05)
-    sensors = {"relative_noise": 0.01, "period": 0.05, "noise": 0.1, "bias": [-0.2], "resolution": [0.5]}
+    sensors = {"noise": 0.1, "bias": [-0.2], "resolution": [0.5]}
     assert errors.measurement == Sensors(**sensors)
     assert noise == evaluate.model_copy(update={"measurement": noise.measurement})
-    assert (drift.adaptation, drift.case_D_hat0, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
+    assert (drift.adaptation, drift.case_D_hat, drift.case_t_end) == (f"{tmp_path / 'law.py'}:Law", [0.5], 20.0)
     assert drift.measurement == evaluate.measurement
     assert config.load(path).files == ["law.py"]
 
 
 def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
-    some = config.load(empty, ["evaluate.actuator=history", 'evaluate.scenarios=[{name="a", relative_noise=0.1}]'])
+    some = config.load(
+        empty, ["evaluate.actuator=history", 'evaluate.scenarios=[{name="a", measurement={relative_noise=0.1}}]']
+    )
     dump = some.model_dump()
     assert set(dump["evaluate"]) == set(config.Evaluate.model_fields)
     assert set(dump["evaluate"]["scenarios"][0]) == set(config.Scenario.model_fields)
@@ -324,8 +324,8 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("evaluate.scenarios=[{relative_noise=0.1}]", ["scenarios[0].name: expected a value, got none"]),
-        ('evaluate.scenarios=[{name="a", nois=0.1}]', ["scenarios[0].nois: unknown key", "did you mean noise?"]),
+        ("evaluate.scenarios=[{truth_scale=1.1}]", ["scenarios[0].name: expected a value, got none"]),
+        ('evaluate.scenarios=[{name="a", measurement={nois=0.1}}]', ["scenarios[0].measurement.nois: unknown key"]),
         ('evaluate.scenarios=[{name="a"}, {name="a"}]', ["expected different names, got 'a' twice; rename one"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1}}]', ["drift.period: expected a value, got none"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=1.5, period=9.0}}]', ["at least 0, got -0.5; shrink it"]),
@@ -334,8 +334,8 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
         ('evaluate.scenarios=[{name="a", t_end=1e9}]', ["scenarios[0]: t_end: expected at most 1000000000 steps"]),
         ("evaluate.case_t_end=1e9", ["case_t_end: expected at most 1000000000 steps", "shorten case_t_end"]),
         ("evaluate.measurement.jitter=0.1", ["measurement: expected a period that jitter spreads, got none; give"]),
-        ('evaluate.scenarios=[{name="a", jitter=0.1}]', ["scenarios[0]: measurement: expected a period"]),
-        ('evaluate.scenarios=[{name="a", D_hat0=[9.0]}]', ["scenarios[0].D_hat0: expected within bounds"]),
+        ('evaluate.scenarios=[{name="a", measurement={jitter=0.1}}]', ["measurement: expected a period"]),
+        ('evaluate.scenarios=[{name="a", D_hat=[9.0]}]', ["scenarios[0].D_hat: expected within bounds"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1, period=9.0}, jump={to=1.1, at=1.0}}]',
          ["drift, jump: expected one of them, got both"]),
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),
@@ -344,7 +344,7 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
         ("generate.measurement.noise=[0.1, -0.1]", ["generate.measurement: expected noise of at least 0"]),
         ("generate.measurement.bias=[nan]", ["generate.measurement: bias: expected finite numbers, got nan"]),
         ("generate.measurement.drop=1.0", ["generate.measurement: expected drop from 0 up to 1, not included, got 1"]),
-        ("evaluate.timing.jitter=0.1", ['timing: expected actuator = "history", got \'measured\'']),
+        ("evaluate.timing.jitter=0.1", ['timing: expected actuator="history", got \'measured\'']),
         ("evaluate.observer.kind=kalman", ["evaluate.observer.kind: expected ekf, luenberger, or a class of a file"]),
         ('evaluate.scenarios=[{name="a", timing={lost=0.1}}]', ["scenarios[0]: timing: expected actuator"]),
         ('evaluate.scenarios=[{name="a", actuator="history", timing={stop=0.1}}]', ["expected 0 < stop < stop_every"]),
@@ -358,16 +358,16 @@ def test_a_scenario_or_a_sensor_that_makes_no_sense_is_one_line(empty: Path, ove
     assert "\n" not in str(error.value)
 
 
-DEFAULTS = {"D_hat0", "case_D_hat0", "explore_D", "explore_D_hat0", "bounds", "dt", "t_end", "case_t_end"}
+DEFAULTS = {"D_hat", "case_D_hat", "explore_D", "explore_D_hat", "bounds", "dt", "t_end", "case_t_end"}
 
 
 def test_what_is_left_out_follows_the_delay():
     at = config.parse({"plant": "scalar", "evaluate": {"D": 0.12}, "generate": {"D": [0.1, 0.3]}}, "tests")
     table, data = at.evaluate, at.generate
-    assert (table.D_hat0, table.bounds) == (0.24, pytest.approx((0.012, 0.48)))
-    assert table.case_D_hat0 == pytest.approx([0.036, 0.06, 0.12, 0.18, 0.24])
-    assert (data.D_hat0[0], data.bounds) == (pytest.approx((0.06, 0.14)), pytest.approx((0.02, 0.8)))
-    assert (data.explore_D, data.explore_D_hat0) == (pytest.approx((0.05, 0.4)), pytest.approx((0.05, 0.7)))
+    assert (table.D_hat, table.bounds) == (0.24, pytest.approx((0.012, 0.48)))
+    assert table.case_D_hat == pytest.approx([0.036, 0.06, 0.12, 0.18, 0.24])
+    assert (data.D_hat[0], data.bounds) == (pytest.approx((0.06, 0.14)), pytest.approx((0.02, 0.8)))
+    assert (data.explore_D, data.explore_D_hat) == (pytest.approx((0.05, 0.4)), pytest.approx((0.05, 0.7)))
     assert (table.dt, table.t_end, table.case_t_end) == (0.0005, 4.8, 4.8)
 
 
@@ -380,18 +380,18 @@ def test_steps_and_loops_are_as_long_as_the_delay_asks():
 
 @pytest.mark.parametrize("D", [0.004, 0.12, 9.0])
 def test_no_delay_is_refused_for_a_key_that_nobody_wrote(D):
-    """evaluate.case_D_hat0[1] was refused, where only D was given."""
+    """evaluate.case_D_hat[1] was refused, where only D was given."""
     config.parse({"plant": "scalar", "evaluate": {"D": D}, "generate": {"D": D, "explore": 0.5}}, "tests")
 
 
 def test_bounds_hold_what_is_given_and_estimates_stay_within_given_bounds():
     tables = {
-        "generate": {"D_hat0": [[0.01, 9.0]]},
-        "evaluate": {"bounds": [0.5, 1.6], "map_D": [1.5], "map_D_hat0": [1]},
+        "generate": {"D_hat": [[0.01, 9.0]]},
+        "evaluate": {"bounds": [0.5, 1.6], "map_D": [1.5], "map_D_hat": [1]},
     }
     at = config.parse({"plant": "scalar"} | tables, "tests")
     assert at.generate.bounds == (0.01, 9.0)
-    assert (at.evaluate.D_hat0, at.evaluate.case_D_hat0) == (1.6, [0.5, 0.5, 1.0, 1.5, 1.6])
+    assert (at.evaluate.D_hat, at.evaluate.case_D_hat) == (1.6, [0.5, 0.5, 1.0, 1.5, 1.6])
 
 
 @pytest.mark.parametrize("path", PIPELINES, ids=lambda path: path.stem)

@@ -63,7 +63,7 @@ kappa = "lqr"
 [evaluate]
 X0 = [-1.0, 0.0, 0.0, 0.0]
 D = 0.4
-D_hat0 = 0.7
+D_hat = 0.7
 adaptation = "delay-observer"
 actuator = "history"
 """

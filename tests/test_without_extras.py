@@ -205,8 +205,8 @@ def test_evaluation_timings_and_page(command, trained):
 
 @pytest.mark.slow
 def test_a_certificate_of_a_plant_whose_search_takes_no_gradient(tmp_path):
-    start = {"adaptation": "frozen", "X0": [0.5, 0.5, 0.5], "D": 0.6, "D_hat0": 0.6, "case_D_hat0": [0.6]}
-    data = {"adaptation": "frozen", "D": 0.6, "D_hat0": [[0.55, 0.65]], "bounds": [0.5, 0.7]}
+    start = {"adaptation": "frozen", "X0": [0.5, 0.5, 0.5], "D": 0.6, "D_hat": 0.6, "case_D_hat": [0.6]}
+    data = {"adaptation": "frozen", "D": 0.6, "D_hat": [[0.55, 0.65]]}
     changes = {"plant": "unicycle", "generate": data, "evaluate": start, "certify": CERTIFY}
     (tmp_path / "p.toml").write_text(toml_text.dumps({"name": "p"} | tables(**changes)))
     made = ["--store", str(tmp_path / "store"), "-q", "--jobs", "1"]

@@ -17,8 +17,8 @@ from npred.guard.guarded import Guarded
 from npred.lab import config
 from npred.lab.config import PAPER, Evaluate, conditions
 from npred.lab.scheduler.models import held_out, load_model
+from npred.loop.acts import HISTORY
 from npred.loop.controller import Controller
-from npred.loop.loop import HISTORY
 from npred.loop.watchdog import Watchdog
 from npred.networks import weights
 from npred.networks.fused import Fused
@@ -113,9 +113,8 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     else:
         predictor = numerical(options.predictor, plant, nx)
     predictor = Guarded(predictor, exact=exact, **guard) if guard else predictor
-    controller = of_table(
-        plant, predictor, table, max_sample_age=options.max_sample_age, watchdog=watchdog(options.watchdog)
-    )
+    flags = {"max_sample_age": options.max_sample_age, "watchdog": watchdog(options.watchdog)}
+    controller = of_table(plant, predictor, table, **{key: value for key, value in flags.items() if value is not None})
     if controller.actuator == HISTORY and table.adaptation == PAPER:
         options.console.warn(RECALLS)
     about = f"{pipeline.name}:{predictor.name}"
@@ -127,8 +126,9 @@ def of_table(plant: Plant, predictor: Predictor, table: Evaluate, **more: Any) -
     limits = inputs.bounds(plant, table.input_bounds)
     start = np.array([table.X0]) if table.X0 else np.zeros((1, plant.n))
     u0 = inputs.before(plant, table.u0, limits, start)[0] if table.u0 == inputs.LAW else table.u0
-    D_hat = None if plant.declares_delay else table.D_hat0
-    return Controller(replace(conditions.described(table, plant, predictor), D_hat=D_hat, u0=u0, **more))
+    D_hat = None if plant.declares_delay else table.D_hat
+    loop = conditions.described(table, plant, predictor, D_hat=D_hat, **more)
+    return Controller(replace(loop, u0=u0) if loop.keeps_commands else loop)
 
 
 def watchdog(text: str) -> Watchdog | None:

@@ -107,5 +107,5 @@ def _cure(case: Case, loops: AdaptiveLoops, converge: np.ndarray) -> str:
     if _converge(case, loops, OBSERVER).all():
         cures.append(f'set adaptation = "{OBSERVER}"')
     if not good.any() and _converge(case, replace(loops, D_hat=np.array([loops.D])), FROZEN).all():
-        cures.append(f'set adaptation = "{FROZEN}" and D_hat0 = D if the delay is known')
+        cures.append(f'set adaptation = "{FROZEN}" and D_hat = D if the delay is known')
     return ", or ".join(cures) or f'with "{OBSERVER}", or a known delay, some do not either; shorten D, or shrink box'

@@ -11,7 +11,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.estimation.delay_law import DelayLaw, Part, part
 from npred.estimation.observers.base import SIGMAS
-from npred.loop import engine, loop_checks, signals
+from npred.loop import engine, signals
 from npred.loop.loop import Loop
 from npred.loop.signals import Settings
 from npred.plants import inputs
@@ -56,16 +56,10 @@ def outputs(loop: Loop) -> tuple[str, ...]:
 
 
 def oldest(loop: Loop) -> int:
-    """How old a sample may be, in control steps. Raises ConfigError for what is no age."""
+    """How old a sample may be, in control steps."""
     if not loop.reads_commands:
         return 0
-    if loop.max_sample_age is None:
-        return OLDEST
-    age = array_checks.number("max_sample_age", loop.max_sample_age)
-    if not 0 <= age < math.inf:
-        what = f"expected how old a sample may be, at least 0, got {loop.max_sample_age!r}"
-        raise ConfigError(f"max_sample_age: {what}; give a time")
-    return math.floor(age / loop.dt * (1 + 1e-12))
+    return OLDEST if loop.max_sample_age is None else math.floor(loop.max_sample_age / loop.dt * (1 + 1e-12))
 
 
 def history_length(loop: Loop, bounds: np.ndarray) -> float:
@@ -75,11 +69,10 @@ def history_length(loop: Loop, bounds: np.ndarray) -> float:
     if loop.history_length is None:
         declared = loop.reads_commands and loop.plant.declares_delay and not loop.blind
         return float(DELAYS * loop.plant.delay(loop.plant.target(0.0), 0.0)) if declared else needed
-    longest = array_checks.number("history_length", loop.history_length)
-    if not needed <= longest < math.inf:
+    if loop.history_length < needed:
         what = f"expected at least the largest delay, {loop.plant.time_text(needed)}"
         raise ConfigError(f"history_length: {what}, got {loop.history_length!r}; raise it")
-    return longest
+    return float(loop.history_length)
 
 
 def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
@@ -129,15 +122,3 @@ def sizes(loop: Loop, laws: Part) -> dict[str, int]:
     for own in (loop.observer, loop.watchdog, loop.safety):
         axes |= own.axes(plant) if own else {}
     return axes
-
-
-def check(loop: Loop) -> None:
-    """Raise ConfigError for parts of a controller that do not fit together."""
-    loop_checks.parts(loop)
-    if loop.safety is not None:
-        loop.safety.check(loop.plant)
-    if not loop.reads_commands:
-        wrong = f'expected actuator="history", got {loop.actuator!r}; give it'
-        for name in ("max_sample_age", "observer", "watchdog", "safety"):
-            if getattr(loop, name) is not None:
-                raise ConfigError(f"{name}: {wrong}, or no {name}")

@@ -7,7 +7,6 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -24,31 +23,6 @@ from npred.loop.simulation import Simulation
 from npred.loop.timing import ROUNDING, Timing, schedule
 from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
-from npred.plants.base import Plant
-
-ON_A_CLOCK = {  # parts that need a real clock, and the cure if there is none
-    "timing": "leave it out",
-    "observer": "step npred.controller with it, or give measurement=npred.Measurement(observer=a function of yours)",
-    "watchdog": "step npred.controller with it",
-}
-
-
-def check(loop: Loop) -> None:
-    """Raise ConfigError for parts that a loop on a real clock cannot have."""
-    if not loop.reads_commands:
-        raise ConfigError(f'actuator: expected "history" for a loop on a real clock, got {loop.actuator!r}; give it')
-    if loop.predictor is None:
-        raise ConfigError("predictor: expected one for a loop on a real clock, got None; make one")
-    serves(loop.plant, next((name for name in ON_A_CLOCK if getattr(loop, name) is not None), "timing"))
-    if loop.measurement.observer is not None:
-        raise ConfigError("measurement: expected no observer in Python on a real clock, got one; give observer")
-
-
-def serves(plant: Plant, part: str = "timing") -> None:
-    """Raise ConfigError for a plant whose loops cannot run on a real clock, which that part needs."""
-    if plant.declares_delay:
-        what = f"expected a plant that does not declare its delay, got {plant.name}"
-        raise ConfigError(f"{part}: {what}; {ON_A_CLOCK[part]}")
 
 
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:
@@ -79,7 +53,7 @@ def run_one(simulation: Simulation, number: int) -> tuple[Record, OnAClock]:
     )  # fmt: skip
     only = slice(number, number + 1)
     past, settings = simulation.past.of(only), simulation.settings(only)
-    memory = Memory(replace(of, D_hat=float(simulation.D_hat[number])), simulation.law, settings, past)
+    memory = Memory(of.filled(D_hat=float(simulation.D_hat[number])), simulation.law, settings, past)
     z = memory.signals._replace(X=np.array(of.X0[number])[:, None], D=(plant.ratios * D)[:, None])
     events = _events(simulation, number, settings.output_count, past)
     out = simulation.record(1, simulation.samples.shape[1])

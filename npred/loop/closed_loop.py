@@ -90,7 +90,7 @@ def simulate(
         For delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
     """
     named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
-    loop = Loop.of("simulate", ("history_length",), named | {"adaptation": adaptation, **parts})
+    loop = Loop.of("simulate", (), named | {"adaptation": adaptation, **parts})
     loops = run(loop, t_end, every, samples, progress)
     if progress is not False and (words := trajectory_views.at_bound(loops)):
         say(f"simulate: {words}")
@@ -103,12 +103,6 @@ def run(
 ) -> Trajectories:  # fmt: skip
     """Simulate a loop over t_end; see `simulate`."""
     plant, law = loop.plant, loop.adaptation
-    loop_checks.parts(loop)
-    if loop.safety is not None:
-        loop.safety.check(plant)
-    loop_checks.reality(loop)
-    if loop.on_a_clock:
-        clocked.check(loop)
     X0 = array_checks.floats("X0", loop.X0)
     loop_checks.start(plant, X0)
     D, D_hat, table = loop.D, loop.D_hat, None
@@ -144,9 +138,7 @@ def run(
     method, limits = loop_checks.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
     given = D_hat if loop.blind or not plant.declares_delay else None
-    complete = replace(loop, D=D, D_hat=given, X0=X0, adaptation=law, input_bounds=limits)
-    if loop.setpoints and loop.predictor is None:
-        raise ConfigError("setpoints: expected a predictor, for U = 0 leads nowhere, got None; give one, or drop them")
+    complete = loop.filled(D=D, D_hat=given, X0=X0, adaptation=law, input_bounds=limits)
     one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, D_hat, past, steps, delays)
     loop_checks.history(plant, one.reach(slice(None))[1], dt)
     with quiet() if progress is False else nullcontext():

@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, Unpack
 
@@ -17,8 +16,9 @@ from npred.base.notebook import InNotebook
 from npred.base.progress import say
 from npred.estimation.delay_law import Adaptation, DelayLaw
 from npred.loop import assembly, control_step, engine, status
+from npred.loop.acts import HISTORY
 from npred.loop.engine import Engine
-from npred.loop.loop import HISTORY, REALITY, ControllerParts, Loop
+from npred.loop.loop import ControllerParts, Loop
 from npred.loop.memory import Memory
 from npred.loop.status import Status
 from npred.loop.timing import SNAP, snapped
@@ -65,7 +65,7 @@ def controller(
         For parts that do not fit together, and for an unknown one.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
-    return Controller(Loop.of("controller", REALITY, named | {"actuator": HISTORY} | {**parts}))
+    return Controller(Loop.of("controller", ("X0",), named | {"actuator": HISTORY} | {**parts}))
 
 
 class Controller(InNotebook):
@@ -100,21 +100,13 @@ class Controller(InNotebook):
 
     def __init__(self, loop: Loop) -> None:
         plant, predictor = loop.plant, loop.predictor
-        assembly.check(loop)
         if predictor is None:
             raise ConfigError("predictor: expected one, got None; make one with npred.predictor or npred.load")
-        if not 0 < (dt := array_checks.number("dt", loop.dt)) < math.inf:
-            raise ConfigError(f"dt: expected a control step above 0, got {loop.dt!r}; give a time in {plant.time_unit}")
-        gate = None if loop.outlier_limit is None else array_checks.number("outlier_limit", loop.outlier_limit)
-        if gate is not None and not 0 < gate < math.inf:
-            what = "expected a number above 0, or None for no limit"
-            raise ConfigError(f"outlier_limit: {what}, got {gate!r}; 1 is the default")
+        dt, gate = array_checks.number("dt", loop.dt), loop.outlier_limit
         law, D_hat = assembly.first_estimate(loop)
         limits = inputs.bounds(plant, loop.input_bounds)
         u0 = inputs.start(plant, loop.u0, limits)
-        self._loop = loop = replace(
-            loop, dt=dt, adaptation=law, D_hat=D_hat, input_bounds=limits, u0=u0, outlier_limit=gate
-        )
+        self._loop = loop = loop.filled(dt=dt, adaptation=law, D_hat=D_hat, input_bounds=limits, u0=u0)
         self.plant, self.predictor, self.adaptation, self.dt, self.actuator = plant, predictor, law, dt, loop.actuator
         self.outlier_limit, self.observer, self.watchdog, self.safety = gate, loop.observer, loop.watchdog, loop.safety
         self._reads_commands, self._by_law = loop.reads_commands, isinstance(u0, str) and u0 == inputs.LAW
@@ -345,7 +337,7 @@ class Controller(InNotebook):
     def loop(self) -> Loop:
         """The description that another controller with these parts and this D_hat is made of."""
         D_hat = self._loop.D_hat if self.plant.declares_delay else self.D_hat
-        return replace(self._loop, D_hat=D_hat, history_length=self.memory.longest)
+        return self._loop.filled(D_hat=D_hat, history_length=self.memory.longest)
 
     def __repr__(self) -> str:
         adapts = "frozen" if self.adaptation is None else f"by {type(self.adaptation).__name__}"

@@ -1,14 +1,16 @@
 """One description of a loop: for simulation, for a controller, and for a pipeline's tables."""
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, Literal, Self, TypedDict, get_args
+from typing import Any, Literal, Self, TypedDict
 
 import numpy as np
 
 from npred.base.errors import ConfigError, similar
 from npred.estimation.delay_law import DelayLaw, by_name
 from npred.estimation.observers import Observer
+from npred.loop import acts
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
 from npred.loop.timing import Timing
@@ -17,7 +19,6 @@ from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
 
 Actuator = Literal["measured", "history"]  # how the controller knows the commands under way, u
-MEASURED, HISTORY = get_args(Actuator)
 
 PERFECT = Measurement()
 
@@ -27,36 +28,86 @@ class Loop:
     """X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14]: all parts of it.
 
     The parts down to `history_length` are the controller's; those that follow are of the simulated plant, its sensors
-    and its clock. Times are in the plant's unit.
+    and its clock. Times are in the plant's unit. A part that is given where it cannot act is refused in one line
+    (npred.loop.acts); "feedback" is a loop with a predictor, "on a clock" one with timing, observer, watchdog, or
+    samples that the controller judges.
     """
 
     plant: Plant  #: the controller's model, from npred.plant
     predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
     dt: float = None  # type: ignore[assignment]  #: control step; U is held over it; by default it follows D
-    adaptation: DelayLaw | None = None  #: law of the estimate D_hat, also by name, as a pipeline; None freezes it
-    D_hat: Any = None  #: first estimate of the delay, (...)
-    input_bounds: Any = None  #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's
-    u0: Any = None  #: inputs before t = 0, by default the rest's: (m,), "equilibrium", "law", rows (k, m), a function
-    actuator: Actuator = "measured"  #: "measured": u is; "history": u is read at D_hat from the controller's commands
-    observer: Observer | None = None  #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger
-    watchdog: Watchdog | None = None  #: gives U if no sample comes
-    safety: SafetyFilter | None = None  #: keeps the limits that the plant declares
-    outlier_limit: float | None = 1.0  #: samples farther from the model than this times half the box are refused
-    max_sample_age: float | None = None  #: largest age of a sample that is used; by default 100 control steps
-    history_length: float | None = None  #: how long commands are kept; by default the largest D_hat
-    D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest
-    X0: Any = None  #: states at t = 0, (..., n)
-    measurement: Measurement = PERFECT  #: what the controller sees of X
+    #: law of the estimate D_hat, also by name, as a pipeline; None freezes it. With feedback, if no delay is declared
+    adaptation: DelayLaw | None = None
+    D_hat: Any = None  #: first estimate of the delay, (...). If none is declared, else 0 in a simulation
+    #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's. With feedback
+    input_bounds: Any = None
+    #: inputs before t = 0, by default the rest's: (m,), "equilibrium", "law", rows (k, m), a function. Not where D = 0,
+    #: and of a controller alone only with actuator="history", or a law that reads the commands
+    u0: Any = None
+    #: "measured": u is; "history": u is read at D_hat from the controller's commands. With feedback; of a plant that
+    #: declares its delay u is read from the commands in each simulation
+    actuator: Actuator = "measured"
+    #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger. With feedback, actuator="history";
+    #: simulated if no delay is declared
+    observer: Observer | None = None
+    watchdog: Watchdog | None = None  #: gives U if no sample comes. As observer
+    #: keeps the limits that the plant declares. With feedback; alone, or with a `delay`, with actuator="history"
+    safety: SafetyFilter | None = None
+    #: samples farther from the model than this times half the box are refused; None takes all. With actuator="history"
+    outlier_limit: float | None = 1.0
+    #: largest age of a sample that is used; by default 100 control steps. With actuator="history"; simulated, if
+    #: measurement has a period or a delay
+    max_sample_age: float | None = None
+    #: how long commands are kept; by default the largest D_hat. Of a controller alone that keeps them, as for u0
+    history_length: float | None = None
+    D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest. If none is declared
+    X0: Any = None  #: states at t = 0, (..., n); without them a controller alone is described
+    measurement: Measurement = PERFECT  #: what the controller, or its observer in Python, sees of X. With either
     truth: Plant | None = None  #: the simulated plant, if it is not the controller's model
     disturbance: Callable[[float], Any] | None = None  #: added to the plant's input, (m,) or (..., m), by the time
-    setpoints: Any = None  #: {parameter: (times, values)}, set from the first control step at or after each time on
-    timing: Timing | None = None  #: clock of the calls and commands
+    #: {parameter: (times, values)}, set from the first control step at or after each time on. With feedback
+    setpoints: Any = None
+    #: clock of the calls and commands. With feedback, actuator="history", if no delay is declared
+    timing: Timing | None = None
     integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
 
     def __post_init__(self) -> None:
-        """A law by name is the law with its defaults."""
+        """A law by name is the law with its defaults. Raises ConfigError as npred.loop.acts.check does."""
         if isinstance(self.adaptation, str):
             object.__setattr__(self, "adaptation", by_name(self.adaptation))
+        acts.check(self)
+
+    def filled(self, **values: Any) -> Self:
+        """The same with what was left out filled in, which is not checked again."""
+        other = copy.copy(self)
+        vars(other).update(values)
+        return other
+
+    @property
+    def given(self) -> list[str]:
+        """The parts that are not their defaults."""
+        values = [(field.name, getattr(self, field.name), field.default) for field in fields(self)]
+        plain = str | float | Measurement | Mapping
+        return [
+            name for name, value, default in values
+            if not (value is default or (isinstance(value, plain) and value in (default, {})))
+        ]  # fmt: skip
+
+    @property
+    def alone(self) -> bool:
+        """True for a controller without a simulated plant."""
+        return self.X0 is None
+
+    @property
+    def keeps_commands(self) -> bool:
+        """True if the controller remembers its own commands."""
+        return self.reads_commands or not (self.adaptation is None or self.adaptation.integrates)
+
+    @property
+    def delayed(self) -> bool:
+        """True if a command of t < 0 is read."""
+        declared = self.plant.declares_delay or callable(self.D)
+        return declared or bool(np.any(self.D) or (self.reads_commands and np.any(self.D_hat)))
 
     @property
     def real(self) -> Plant:
@@ -71,7 +122,7 @@ class Loop:
     @property
     def reads_commands(self) -> bool:
         """True if the controller reads the actuator state from its own commands."""
-        return self.actuator == HISTORY
+        return self.actuator == acts.HISTORY
 
     @property
     def parts(self) -> Iterator[tuple[str, Any]]:
@@ -126,7 +177,3 @@ class LoopParts(ControllerParts, total=False):
     setpoints: Any
     timing: Timing | None
     integrator: str
-
-
-# parts that only a simulation has
-REALITY = ("D", "X0", *sorted(LoopParts.__annotations__.keys() - ControllerParts.__annotations__.keys()))

@@ -1,25 +1,19 @@
 """Checks of the arguments of a closed loop before it runs: the compiled engine trusts their shapes."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from npred.base import array_checks
-from npred.base.errors import ConfigError, unlisted
+from npred.base.errors import ConfigError
 from npred.base.progress import say
-from npred.estimation.delay_law import DelayLaw
-from npred.estimation.observers import Observer
 from npred.loop import control_step
-from npred.loop.loop import HISTORY, MEASURED, Loop
-from npred.loop.measurement import Measurement
-from npred.loop.safety import SafetyFilter
-from npred.loop.timing import ROUNDING, Timing
-from npred.loop.watchdog import Watchdog
+from npred.loop.loop import Loop
+from npred.loop.timing import ROUNDING
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-from npred.prediction.methods import OneStep, Predictor, method
+from npred.prediction.methods import OneStep, method
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
@@ -46,26 +40,6 @@ def start(plant: Plant, X0: np.ndarray) -> None:
             raise ConfigError(f"X0: expected {name} within its state_bounds [{low:g}, {high:g}], {came}; start inside")
 
 
-def reality(loop: Loop) -> None:
-    """Raise ConfigError for delays, a disturbance or a truth that do not fit the plant."""
-    plant, truth = loop.plant, loop.truth
-    for name in ("D", "D_hat", "adaptation"):
-        value = getattr(loop, name)
-        if value is None and not plant.declares_delay and name != "adaptation":
-            raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
-        if value is not None and plant.declares_delay and not (name == "D_hat" and loop.blind):
-            todo = f"leave {name} out" + (", or give 0 for no prediction" if name == "D_hat" else "")
-            raise ConfigError(f"{name}: expected none, for plant {plant.name} declares its delay; {todo}")
-    loop.measurement.check(plant, loop.observer and len(loop.observer.outputs))
-    if loop.disturbance is not None and not callable(loop.disturbance):
-        raise ConfigError(f"disturbance: expected a function of t, got {loop.disturbance!r}; write lambda t: [0.1]")
-    if truth is not None and (not isinstance(truth, Plant) or (truth.n, truth.m) != (plant.n, plant.m)):
-        what = f"expected a plant with {plant.n} states and {plant.m} inputs"
-        raise ConfigError(f"truth: {what}, got {truth!r}; give one")
-    if truth is not None and truth.declares_delay != plant.declares_delay:
-        raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
-
-
 def push(value: Any, m: int, shape: tuple[int, ...] = ()) -> np.ndarray:
     """The values that a disturbance adds to a batch of that shape: (1, m), or (B, m) where it has the batch's axes.
 
@@ -87,7 +61,7 @@ def stepped(loop: Loop, D: Any, D_hat: Any, t_end: Any) -> Loop:
     spans = delays if (delays > 0).any() else array_checks.floats("D_hat", D_hat)
     integrates = loop.adaptation is not None and loop.adaptation.integrates
     dt = min(control_step.usual(spans, loop.plant, integrates), ends)
-    return replace(loop, dt=dt)
+    return loop.filled(dt=dt)
 
 
 def delays(loop: Loop, D: np.ndarray, D_hat: np.ndarray, t_end: float) -> None:
@@ -139,35 +113,6 @@ def history(plant: Plant, reach: float, dt: float) -> None:
     """Raise ConfigError for commands of the last `reach` that this machine cannot hold."""
     cure = "shorten D, the bounds of the law or the delay of the measurement, or lengthen dt"
     array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
-
-
-KINDS = {
-    "plant": (Plant, "a Plant", "make one with npred.plant"),
-    "predictor": (Predictor, "a Predictor", "make one with npred.predictor or npred.load"),
-    "adaptation": (
-        DelayLaw, "a DelayLaw",
-        "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), name one, or give None, which freezes D_hat",
-    ),
-    "measurement": (Measurement, "an npred.Measurement", "make one"),
-    "safety": (SafetyFilter, "npred.SafetyFilter", "make one"),
-    "observer": (Observer, "one of npred.observers", "make one"),
-    "watchdog": (Watchdog, "npred.Watchdog", "make one"),
-    "timing": (Timing, "an npred.Timing", "make one"),
-}  # fmt: skip
-
-
-def parts(loop: Loop) -> None:
-    """Raise ConfigError for a part of the wrong kind, or made for another plant."""
-    for name, (kind, expected, todo) in KINDS.items():
-        value = getattr(loop, name)
-        if not isinstance(value, kind) and (value is not None or name in ("plant", "measurement")):
-            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {todo}")
-    if loop.actuator not in (MEASURED, HISTORY):
-        raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
-    for name, part in loop.parts:
-        loop.plant.own(name, part)
-    if loop.adaptation is not None:
-        loop.adaptation.check(loop.plant)
 
 
 def integrator(name: Any, *plants: Plant) -> type[OneStep]:

@@ -21,9 +21,9 @@ from npred.lab.report.terminal import interruption
 from npred.lab.scheduler import executors
 from npred.lab.scheduler.models import load_model, loaded
 from npred.loop import loop_checks, metrics, settable
+from npred.loop.acts import HISTORY
 from npred.loop.assembly import OLDEST
 from npred.loop.controller import Controller
-from npred.loop.loop import HISTORY
 from npred.plants import Plant
 from npred.prediction.methods import numerical
 from npred_rig import log, network, sides
@@ -122,8 +122,8 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
         stored = load_model(f"{options.pipeline}:{options.model}", options.store, options.set)
         predictor = loaded(stored, table.nx, "cpu", None)
         predictor = Guarded(predictor, exact=exact, **dict(table.guard)) if table.guard else predictor
-    age = max(OLDEST * table.dt, 2 * channel.longest)
-    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog)}
+    age = table.max_sample_age or max(OLDEST * table.dt, 2 * channel.longest)
+    more = {"max_sample_age": age, "watchdog": export.watchdog(options.watchdog) or table.watchdog}
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)

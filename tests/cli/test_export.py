@@ -182,7 +182,7 @@ def test_a_controller_with_a_watchdog_that_takes_older_samples(export, trained):
 
 def test_a_controller_with_the_observer_of_its_pipeline(export, tmp_path):
     """Of the two states only the second is measured; the program in the file repeats steps in Python."""
-    lines = ['plant = "chemostat"', "[evaluate]", "X0 = [2.0, 2.0]", "D = 0.5", "D_hat0 = 0.5", 'adaptation = "frozen"']
+    lines = ['plant = "chemostat"', "[evaluate]", "X0 = [2.0, 2.0]", "D = 0.5", "D_hat = 0.5", 'adaptation = "frozen"']
     lines += ['actuator = "history"', 'observer = { kind = "ekf", outputs = ["S"], offset = true }']
     (tmp_path / "seen.toml").write_text("\n".join(lines))
     done = export("controller", "--predictor", "rk4", "--nx", "21", model=str(tmp_path / "seen.toml"))
@@ -332,7 +332,7 @@ def test_python_says_where_nothing_can_be_written(path, tmp_path, monkeypatch):
 
 
 def test_a_key_is_overridden_for_an_export(export, trained):
-    flags = ("--predictor", "heun", "--nx", "21", "--set", "evaluate.dt=0.02", "--set", "evaluate.D_hat0=0.75")
+    flags = ("--predictor", "heun", "--nx", "21", "--set", "evaluate.dt=0.02", "--set", "evaluate.D_hat=0.75")
     assert export("controller", *flags, model=str(trained / "p.toml")).exit_code == 0
     text = Path("npred/npred.c").read_text()
     assert re.findall(r"\.dt = (.*),", text) == ["0.02"] and "0.75" in text

@@ -46,7 +46,7 @@ t_end = 2.0
 dt = 0.01
 nx = 11
 D = 0.3
-D_hat0 = [[0.28, 0.32]]
+D_hat = [[0.28, 0.32]]
 adaptation = "frozen"
 [train]
 models = ["deeponet"]
@@ -56,8 +56,8 @@ width = 8
 [evaluate]
 X0 = [-0.6, 0.2]
 D = 0.3
-D_hat0 = 0.3
-case_D_hat0 = [0.29, 0.3, 0.31]
+D_hat = 0.3
+case_D_hat = [0.29, 0.3, 0.31]
 case_states = 4
 case_t_end = 6.0
 t_end = 6.0
@@ -104,7 +104,7 @@ def test_an_evaluation_says_how_limits_are_kept_with_a_filter_and_without(evalua
     kept = result["scenarios"][0]["models"]["numerical"]["limits"]
     for limits, safety in ((free, None), (kept, npred.SafetyFilter(3.0, delay=0.02))):
         loop = npred.simulate(
-            plant, RK4(plant, 11), D=0.3, D_hat=begin.D_hat0[rows], X0=begin.X0[rows], t_end=6.0, dt=0.01,
+            plant, RK4(plant, 11), D=0.3, D_hat=begin.D_hat[rows], X0=begin.X0[rows], t_end=6.0, dt=0.01,
             u0=[0.0], actuator="history", safety=safety,
         )  # fmt: skip
         h = np.minimum(1 - loop.X[..., 0], 1 + loop.X[..., 0])
@@ -180,7 +180,7 @@ def test_an_fmu_has_the_filter_of_the_flag_and_of_the_pipeline(export):
         (("--safety", "3"), "--safety: expected KEY=VALUE,…, got '3'; name the keys of evaluate.safety"),
         (("--safety", "alfa=3"), "evaluate.safety.alfa: unknown key; expected one of alpha, delay, horizon, margin"),
         (("--safety", "alpha=0"), "safety: expected alpha above 0, got 0; give another"),
-        ((*FILTER, "--actuator", "measured"), "safety.delay: expected actuator = \"history\", got 'measured'"),
+        ((*FILTER, "--actuator", "measured"), "safety: expected actuator=\"history\", got 'measured'"),
     ],
 )
 def test_a_filter_that_cannot_be_is_one_line(export, flags, message):

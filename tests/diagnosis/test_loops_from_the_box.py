@@ -280,8 +280,8 @@ plant = "line.py:Line"
 [evaluate]
 X0 = [0.5]
 D = 0.3
-D_hat0 = 0.3
-case_D_hat0 = [0.3]
+D_hat = 0.3
+case_D_hat = [0.3]
 adaptation = "frozen"
 actuator = "history"
 nx = 31

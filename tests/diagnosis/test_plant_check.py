@@ -278,8 +278,8 @@ def test_the_delay_is_the_plants_or_the_pipelines_before_it_is_assumed():
     assert answers(chain)["delay"].text == "2.5 s, the longest of the plant's delays"
     assert answers(declared())["delay"].text.startswith("1 s, assumed")
     assert answers(chain, delay=0.1)["delay"].text == "0.1 s, as asked"
-    loops = {"D": [0.5, 0.7], "D_hat0": [[0.2, 0.9]]}
-    tables = {"plant": "scalar", "generate": loops, "evaluate": {"D": 0.5, "D_hat0": 0.6, "case_D_hat0": [0.3]}}
+    loops = {"D": [0.5, 0.7], "D_hat": [[0.2, 0.9]]}
+    tables = {"plant": "scalar", "generate": loops, "evaluate": {"D": 0.5, "D_hat": 0.6, "case_D_hat": [0.3]}}
     found = pipeline_fit.check(plants.resolve("scalar"), config.parse(tables, "tests"))
     (text,) = [answer.text for answer in found if answer.check == "delay"]
     assert text.startswith("0.9 s, the longest delay or first estimate")
@@ -329,7 +329,7 @@ gain = 3.0
 [generate]
 adaptation = "frozen"
 D = 0.7
-D_hat0 = [[0.7, 0.7]]
+D_hat = [[0.7, 0.7]]
 nx = 31
 box = { x = [-0.5, 0.5] }
 input_bounds = [[-4.0, 4.0]]
@@ -339,8 +339,8 @@ u0 = [0.25]
 adaptation = "frozen"
 X0 = [0.5]
 D = 0.7
-D_hat0 = 0.7
-case_D_hat0 = [0.7]
+D_hat = 0.7
+case_D_hat = [0.7]
 """
 LINE = """
 class Line:

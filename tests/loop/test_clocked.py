@@ -268,9 +268,9 @@ def test_an_observer_in_the_loop_gets_outputs_with_errors_of_their_own():
 def test_what_a_loop_on_a_clock_cannot_have_is_refused_in_one_line():
     timed = {"timing": npred.Timing()}
     start = {"D": 0.2, "D_hat": 0.2, "X0": [0.5, 0.0], "t_end": 1.0, "dt": DT}
-    with pytest.raises(ConfigError, match='actuator: expected "history" for a loop on a real clock'):
+    with pytest.raises(ConfigError, match='timing: expected actuator="history"'):
         npred.simulate(SWING, RK4(SWING, 11), **start, **timed)
-    with pytest.raises(ConfigError, match="predictor: expected one for a loop on a real clock"):
+    with pytest.raises(ConfigError, match="timing: expected a predictor, got None"):
         npred.simulate(SWING, None, **start, actuator="history", **timed)
     with pytest.raises(ConfigError, match=r"timing: expected an npred\.Timing"):
         simulated(SWING, [0.5, 0.0], timing=0.3)
@@ -282,9 +282,7 @@ def test_what_a_loop_on_a_clock_cannot_have_is_refused_in_one_line():
     tank = npred.plant(type("Late", (Seen,), {"delay": lambda x, t, p, M: 0.2 + 0.1 * M.sin(t)}))
     start = {"X0": [0.1, 0.1], "t_end": 0.5, "dt": DT, "actuator": "history"}
     ekf = npred.observers.EKF(tank)
-    with pytest.raises(
-        ConfigError, match=r"^observer: expected a plant that does not declare its delay, got Late; step npred"
-    ):
+    with pytest.raises(ConfigError, match=r"^observer: expected a plant that does not declare its delay, got Late"):
         npred.simulate(tank, RK4(tank, 11), observer=ekf, **start)
     controller = npred.controller(tank, RK4(tank, 11), None, DT, observer=ekf, actuator="history")
     assert np.isfinite(controller.step([0.1])).all()

@@ -283,7 +283,7 @@ def test_energy_is_of_each_input_from_its_own_rest_over_its_own_delay(delays, ac
     [
         ({"D_hat": 5.0}, r"D_hat: expected within the bounds"),
         ({"D": -1.0}, r"D: expected a delay of at least 0"),
-        ({"dt": 0.0}, r"expected 0 < dt <= t_end"),
+        ({"dt": 0.0}, r"dt: expected a control step above 0"),
         ({"X0": [0.1]}, r"X0: expected shape \(..., 2\) for plant activator_repressor, got \(1,\)"),
         ({"X0": [np.nan, 1.0]}, r"X0: expected finite"),
         ({"input_bounds": [(1.0, 0.0)]}, r"input_bounds: expected low <= high for U, got \(1, 0\); swap them"),

@@ -163,10 +163,11 @@ def test_a_measurement_of_another_shape_is_told(X, u, message):
         ({"D_hat": 9.0}, r"D_hat: expected within the bounds \[0.1, 4\] s, got 9"),
         ({"adaptation": None}, "give D_hat"),
         ({"adaptation": 3.0}, "adaptation: expected a DelayLaw"),
-        ({"predictor": None}, "predictor: expected one, got None"),
+        ({"predictor": None}, "adaptation: expected a predictor, got None"),
+        ({"predictor": None, "adaptation": None, "actuator": "measured"}, "predictor: expected one, got None"),
         ({"dt": "0.1"}, "dt: expected a real number, got '0.1'"),
         ({"D_hat": [1.0, 2.0]}, r"D_hat: expected a real number, got an array of shape \(2,\)"),
-        ({"D_hat": np.inf, "adaptation": None}, "D_hat: expected within"),
+        ({"D_hat": np.inf, "adaptation": None}, "D_hat: expected a delay of at least 0, got inf"),
     ],
 )
 def test_mistakes_are_told(changes, message):

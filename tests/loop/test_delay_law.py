@@ -197,7 +197,9 @@ def question(stage: str, adaptation: str | None) -> dict:
 
 def test_laws_by_name_and_from_a_file(law):
     assert conditions.adaptation(loop(), PLANT) == DelayAdaptation(2.0, 0.5, (0.2, 3.0))
-    assert conditions.adaptation(loop(adaptation="frozen"), PLANT) is None
+    assert conditions.adaptation(config.LoopTable(adaptation="frozen"), PLANT) is None
+    with pytest.raises(ValueError, match='gamma: expected a law that adapts D_hat, got adaptation = "frozen"'):
+        loop(adaptation="frozen")
     own = conditions.adaptation(loop(adaptation=law), PLANT)
     assert own is not None
     assert (type(own).__name__, own.gamma, own.b, own.bounds) == ("Towards", 2.0, 0.5, (0.2, 3.0))
@@ -207,7 +209,7 @@ def test_laws_by_name_and_from_a_file(law):
 def test_a_law_enters_the_key_and_that_of_a_file_by_its_code(stage, law):
     plain, frozen, own = (question(stage, name) for name in (None, "frozen", law))
     assert question(stage, "bresch-pietri-krstic") == plain
-    assert frozen[stage] == plain[stage] | {"adaptation": "frozen"}
+    assert frozen[stage] == plain[stage] | {"adaptation": "frozen", "bounds": frozen[stage]["bounds"]}
     path = Path(law.partition(":")[0])
     moved = path.rename(path.parent / "moved.py")
     assert question(stage, f"{moved}:Towards") == own
@@ -219,9 +221,14 @@ def test_a_law_enters_the_key_and_that_of_a_file_by_its_code(stage, law):
 
 def test_data_are_made_with_the_law(tmp_path, law):
     """D_hat' = gamma (1 - D_hat) from 2 s: after t seconds D_hat = 1 + exp(-gamma t), but for Euler's steps."""
-    changes = {"D_hat0": [[2.0, 2.0]], "gamma": 0.5, "samples": 60, "rollouts": 3}
+    changes = {"D_hat": [[2.0, 2.0]], "samples": 60, "rollouts": 3}
     for name in ("frozen", law):
-        run = job(tmp_path, name[-7:], plant="scalar", generate=changes | {"adaptation": name})
+        run = job(
+            tmp_path,
+            name[-7:],
+            plant="scalar",
+            generate=changes | ({} if name == "frozen" else {"gamma": 0.5}) | {"adaptation": name},
+        )
         generate.run(run)
         data = Dataset.read(run.folder / "data.h5")
         expected = 2.0 if name == "frozen" else 1.0 + np.exp(-0.5 * data.t)

@@ -213,7 +213,7 @@ def test_only_what_lets_the_loops_converge_is_advised(tmp_path):
     (told,) = doubts(f"{path}:Bounded", 1.0)
     assert told.endswith('; with "delay-observer", or a known delay, some do not either; shorten D, or shrink box')
     (told,) = doubts(f"{path}:Bounded", 0.5, gamma=500.0)
-    known = '"frozen" and D_hat0 = D if the delay is known'
+    known = '"frozen" and D_hat = D if the delay is known'
     assert told.endswith(f'; set adaptation = "delay-observer", or set adaptation = {known}')
 
 
@@ -222,7 +222,7 @@ def test_the_loops_of_the_check_have_a_short_control_step(tmp_path):
     pipeline."""
     path = tmp_path / "fast_and_slow.py"
     path.write_text(FAST_AND_SLOW)
-    assert doubts(f"{path}:FastAndSlow", 0.5, D_hat0=0.5, case_D_hat0=[0.5], gamma=1e-9) == []
+    assert doubts(f"{path}:FastAndSlow", 0.5, D_hat=0.5, case_D_hat=[0.5], gamma=1e-9) == []
 
 
 @pytest.mark.slow

@@ -380,7 +380,7 @@ def test_a_course_that_cannot_be_is_refused(course, said):
 
 def test_a_table_of_a_pipeline_has_a_course_and_its_loops_are_measured_by_it():
     plant = PENDULUM.plant
-    table = {"X0": [0.3, 0.0], "D": PENDULUM.D, "D_hat0": PENDULUM.D, "dt": 0.01, "nx": 31, "actuator": "history"}
+    table = {"X0": [0.3, 0.0], "D": PENDULUM.D, "D_hat": PENDULUM.D, "dt": 0.01, "nx": 31, "actuator": "history"}
     table |= {"adaptation": "frozen", "u0": "equilibrium", "setpoints": {"aim": {"at": [6.0, 12.0], "to": [-0.8, 0.9]}}}
     read = Evaluate.model_validate(table | {"scenarios": [{"name": "still", "setpoints": {}}]})
     predictor = npred.predictor(plant, "rk4", 31)

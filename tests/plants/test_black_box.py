@@ -164,9 +164,9 @@ def test_the_chain_runs(write, tmp_path):
     tables = {
         "plant": write(),
         "train": {"models": ["deeponet"]},
-        "generate": times | {"D": 0.2, "D_hat0": [[0.15, 0.25]], "samples": 60, "rollouts": 4},
+        "generate": times | {"D": 0.2, "D_hat": [[0.15, 0.25]], "samples": 60, "rollouts": 4},
         "evaluate": times
-        | {"D": 0.2, "D_hat0": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 0.4, "case_states": 1, "case_D_hat0": [0.2]},
+        | {"D": 0.2, "D_hat": 0.25, "X0": [0.1, 0, 0, 0], "case_t_end": 0.4, "case_states": 1, "case_D_hat": [0.2]},
     }
     data = job(tmp_path, "generate", **tables)
     assert generate.run(data).json_object()["samples"] == 60

@@ -23,7 +23,7 @@ from npred.prediction.methods import RK4
 REACTOR, SCALAR = Plant("reactor", Reactor), plants.resolve("scalar")
 NAME = f"{Path(__file__).parents[1] / 'reactor.py'}:Reactor"
 LOOPS = {
-    "samples": 60, "rollouts": 20, "D": 12.0, "D_hat0": [[7.0, 17.0]], "bounds": [1.0, 25.0], "gamma": 1.0, "dt": 0.5,
+    "samples": 60, "rollouts": 20, "D": 12.0, "D_hat": [[7.0, 17.0]], "bounds": [1.0, 25.0], "gamma": 1.0, "dt": 0.5,
     "t_end": 300.0, "nx": 41,
 }  # fmt: skip
 

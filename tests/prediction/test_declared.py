@@ -166,7 +166,7 @@ def test_the_history_reaches_back_as_far_as_the_model_believes():
 
 @pytest.mark.parametrize("given", [{"D": 1.0}, {"D_hat": 1.0}, {"adaptation": npred.DelayObserver()}])
 def test_a_declared_delay_takes_no_other(given):
-    with pytest.raises(ConfigError, match=r"expected none, for plant late declares its delay; leave \w+ out"):
+    with pytest.raises(ConfigError, match="expected a plant that does not declare its delay, got late"):
         npred.simulate(UNICYCLE, RK4(UNICYCLE), X0=[0.5, 0.5, 0.5], t_end=1.0, **given)
 
 

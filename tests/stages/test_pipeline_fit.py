@@ -263,14 +263,14 @@ class Declared:
     [
         ({}, None),
         ({"generate": {"adaptation": "frozen"}}, None),
-        ({"generate": {"D": 1.0, "D_hat0": [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]}}, None),  # the defaults, of a dump
+        ({"generate": {"D": 1.0, "D_hat": [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]}}, None),  # the defaults, of a dump
         ({"generate": {"D": 0.7}}, "^generate.D: expected none, for plant .* declares delay.*; leave it out$"),
         (
-            {"generate": {"redraw": 0.2}, "evaluate": {"map_D": [1.0], "map_D_hat0": [1.0]}},
-            "^generate.redraw, evaluate.map_D, evaluate.map_D_hat0: expected none, .*; leave them out$",
+            {"generate": {"redraw": 0.2}, "evaluate": {"map_D": [1.0], "map_D_hat": [1.0]}},
+            "^generate.redraw, evaluate.map_D, evaluate.map_D_hat: expected none, .*; leave them out$",
         ),
         ({"evaluate": {"scenarios": [{"name": "a", "jump": {"to": 1, "at": 3}}]}}, r"^evaluate.scenarios\[0\].jump:"),
-        ({"evaluate": {"scenarios": [{"name": "a", "relative_noise": 0.1}]}}, None),
+        ({"evaluate": {"scenarios": [{"name": "a", "measurement": {"relative_noise": 0.1}}]}}, None),
         ({"generate": {"predictor": "picard"}}, "expected a delay that is a number, .*; set generate.predictor"),
     ],
 )  # fmt: skip
@@ -289,10 +289,13 @@ def test_a_pipeline_names_no_delay_where_the_plant_declares_it(tmp_path, tables,
 @pytest.mark.parametrize(
     ("scenario", "message"),
     [
-        ({"parameters": {"k1": 1.0}}, "got 'k1'"),
+        ({"truth": {"k1": 1.0}}, "got 'k1'"),
         ({"adaptation": "missing.py:Law"}, "missing.py"),
-        ({"bias": [0.1]}, "expected bias as one number or 2, one per state of plant activator_repressor, got 1"),
-        ({"resolution": []}, "expected resolution as one number or 2, .*, got 0; give as many"),
+        (
+            {"measurement": {"bias": [0.1]}},
+            "expected bias as one number or 2, one per state of plant activator_repressor, got 1",
+        ),
+        ({"measurement": {"resolution": []}}, "expected resolution as one number or 2, .*, got 0; give as many"),
     ],
 )
 def test_a_scenario_that_cannot_run_is_told_before_anything_runs(scenario, message):

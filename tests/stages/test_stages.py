@@ -199,7 +199,7 @@ def test_a_plant_that_tracks_is_evaluated_against_its_reference(tmp_path):
     networks = {name: small | {"anchor": "initial"} for name, small in tables()["train"].items()}
     pipeline = {
         "plant": f"{Path(follower.__file__)}:Follower", "train": networks, "generate": {"gamma": 1.0},
-        "evaluate": {"X0": [0.5], "D_hat0": 1.0, "gamma": 0.2, "map_D": [1.0], "map_D_hat0": [1.0]},
+        "evaluate": {"X0": [0.5], "D_hat": 1.0, "gamma": 0.2, "map_D": [1.0], "map_D_hat": [1.0]},
     }  # fmt: skip
     data = job(tmp_path, "generate", **pipeline)
     generate.run(data)
@@ -230,7 +230,7 @@ def test_map_and_coverage_of_known_loops():
     far[3] += 10.0
     lost = rest.copy()
     lost[2] += 10.0
-    table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat0": [0.6, 0.7]}), "tests").evaluate
+    table = config.parse(tables(evaluate={"map_D": [0.5, 1.0], "map_D_hat": [0.6, 0.7]}), "tests").evaluate
     found = behaviour.delay_map(PLANT, table, still(t, far), still(t, lost))
     assert found.converged == [[True, True], [True, False]]
     assert found.share == pytest.approx(2 / 3) and found.band == (0.5, 0.5)

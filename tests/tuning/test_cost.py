@@ -85,7 +85,7 @@ def test_the_cost_is_the_one_that_the_page_defines(name: str):
     kind, D, T, before, after = CASES[name]
     plant = plants.resolve(kind)
     table = {
-        "adaptation": "frozen", "D": D, "D_hat0": D, "case_D_hat0": [D], "X0": [1.0] * plant.n, "dt": DT, "t_end": T,
+        "adaptation": "frozen", "D": D, "D_hat": D, "case_D_hat": [D], "X0": [1.0] * plant.n, "dt": DT, "t_end": T,
         "case_t_end": T, "nx": 51, "predictor": "heun", "u0": "equilibrium" if plant.rests else None,
     }  # fmt: skip
     pipeline = config.parse({"plant": kind, "evaluate": table, "tune": {"effort": EFFORT}}, "cost.toml")

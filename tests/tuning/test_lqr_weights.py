@@ -32,7 +32,7 @@ TABLES: dict[str, Any] = {
     "plant": "lever.py:Lever",
     "kappa": "lqr",
     "evaluate": {
-        "adaptation": "frozen", "D": 0.2, "D_hat0": 0.2, "case_D_hat0": [0.2], "X0": [0.4, 0.0], "t_end": 12.0,
+        "adaptation": "frozen", "D": 0.2, "D_hat": 0.2, "case_D_hat": [0.2], "X0": [0.4, 0.0], "t_end": 12.0,
         "case_t_end": 12.0, "dt": 0.01, "nx": 11,
     },
     "tune": {"free": ["Q", "R"], "starts": 4, "held_out": 4, "evaluations": 16},
@@ -155,8 +155,8 @@ kappa = "lqr"
 [evaluate]
 adaptation = "frozen"
 D = 0.2
-D_hat0 = 0.2
-case_D_hat0 = [0.2]
+D_hat = 0.2
+case_D_hat = [0.2]
 X0 = [0.4, 0.0]
 t_end = 12.0
 case_t_end = 12.0

@@ -44,7 +44,7 @@ A, D, T = 0.5, 0.4, 12.0
 TABLES: dict[str, Any] = {
     "plant": "line.py:Line",
     "evaluate": {
-        "adaptation": "frozen", "D": D, "D_hat0": D, "case_D_hat0": [D], "X0": [1.0], "t_end": T, "case_t_end": T,
+        "adaptation": "frozen", "D": D, "D_hat": D, "case_D_hat": [D], "X0": [1.0], "t_end": T, "case_t_end": T,
         "dt": 0.002, "nx": 11,
     },
     "tune": {"free": ["k"], "bounds": {"k": [0.5, 6.0]}, "starts": 4, "held_out": 6, "evaluations": 60},
@@ -162,8 +162,8 @@ def test_an_interruption_gives_the_best_up_to_then():
 
 
 def test_gamma_and_b_vary_where_the_delay_adapts_and_scenarios_count():
-    table = {"adaptation": "bresch-pietri-krstic", "bounds": [0.1, 0.8], "case_D_hat0": [0.2, 0.7]}
-    table |= {"scenarios": [{"name": "noisy", "relative_noise": 0.001}]}
+    table = {"adaptation": "bresch-pietri-krstic", "bounds": [0.1, 0.8], "case_D_hat": [0.2, 0.7]}
+    table |= {"scenarios": [{"name": "noisy", "measurement": {"relative_noise": 0.001}}]}
     chosen = pipeline(evaluate=table, tune={"free": [], "bounds": {"b": [1.0, 1.0]}, "evaluations": 6})
     result = tuned(chosen)
     assert [number.name for number in result.numbers] == ["gamma"]  # b is held
@@ -236,7 +236,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_line(table: dict[str, Any], messag
     ],
 )
 def test_only_what_acts_is_free(law: str, table: dict[str, Any], left: list[str]):
-    loops = {"adaptation": law, "bounds": [0.1, 0.8], "case_D_hat0": [0.2], "actuator": "history"}
+    loops = {"adaptation": law, "bounds": [0.1, 0.8], "case_D_hat": [0.2], "actuator": "history"}
     loops |= {"dt": 0.01, "gamma": 0.02}
     search = {**table, "evaluations": 1, "starts": 2, "held_out": 2}
     chosen = config.parse(TABLES | {"evaluate": TABLES["evaluate"] | loops, "tune": search}, "line.toml")
@@ -251,7 +251,7 @@ def test_only_what_acts_is_free(law: str, table: dict[str, Any], left: list[str]
     ],
 )
 def test_what_the_delay_law_has_no_use_for_is_refused(table: dict[str, Any], message: str):
-    loops = {"adaptation": "delay-observer", "bounds": [0.1, 0.8], "case_D_hat0": [0.2], "actuator": "history"}
+    loops = {"adaptation": "delay-observer", "bounds": [0.1, 0.8], "case_D_hat": [0.2], "actuator": "history"}
     search = {**table, "starts": 2, "held_out": 2}
     chosen = config.parse(TABLES | {"evaluate": TABLES["evaluate"] | loops, "tune": search}, "line.toml")
     with pytest.raises(ConfigError, match=message):
@@ -275,14 +275,14 @@ plant = "line.py:Line"
 [evaluate]
 adaptation = "frozen"
 D = 0.4
-D_hat0 = 0.4
-case_D_hat0 = [0.4]
+D_hat = 0.4
+case_D_hat = [0.4]
 X0 = [1.0]
 t_end = 12.0
 case_t_end = 12.0
 dt = 0.002
 nx = 11
-scenarios = [{ name = "noisy", relative_noise = 0.001 }]
+scenarios = [{ name = "noisy", measurement = { relative_noise = 0.001 } }]
 
 [tune]
 starts = 2

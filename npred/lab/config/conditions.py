@@ -69,21 +69,24 @@ class Condition:
 
     def loops(self, plant: Plant, predictor: Predictor, **recorded: Any) -> Trajectories:
         """The loops with this predictor; `recorded` are `every`, `samples` and `progress` of npred.simulate."""
+        return closed_loop.run(self.loop(plant, predictor), self.t_end, **recorded)
+
+    def loop(self, plant: Plant, predictor: Predictor) -> Loop:
+        """Their description. Raises ConfigError for a part that does not fit, or cannot act."""
         table, noise = self.table, {"seed": self.seed, "first": self.first, "observer": self.observer}
         push = table.disturbance
 
         def sine(t: float) -> float:
             return push.amplitude * math.sin(push.omega * t)
 
-        loop = replace(
-            described(table, plant, predictor), X0=self.X0,
+        return described(
+            table, plant, predictor, self.adapts, X0=self.X0, u0=table.u0, integrator=table.integrator,
             disturbance=self.disturbance or (sine if push.amplitude else None),
             measurement=Measurement(**vars(table.measurement), **noise),
             timing=table.timing and Timing(**vars(table.timing), seed=self.seed), truth=truth(plant, table),
             setpoints=setpoints(table),
             **({} if plant.declares_delay else {"D": self.D, "D_hat": self.D_hat}),
         )  # fmt: skip
-        return closed_loop.run(loop if self.adapts else replace(loop, adaptation=None), self.t_end, **recorded)
 
 
 def compiled(plant: Plant, predictor: Predictor, table: LoopTable) -> bool:
@@ -111,12 +114,16 @@ def adaptation(loop: LoopTable, plant: Plant) -> DelayLaw | None:
     return law.suited(plant, loop.longest, loop.longest)
 
 
-def described(table: LoopTable, plant: Plant, predictor: Predictor) -> Loop:
-    """The controller of a table, with u0 as it stands. Raises ConfigError for a part that does not fit."""
-    return Loop(
-        plant=plant, predictor=predictor, dt=table.dt, adaptation=adaptation(table, plant), u0=table.u0,
-        input_bounds=table.input_bounds, actuator=table.actuator, observer=observer(table, plant), safety=table.safety,
-    )  # fmt: skip
+def described(table: LoopTable, plant: Plant, predictor: Predictor, adapts: bool = True, **more: Any) -> Loop:
+    """The controller of a table, and `more` of the loop. Raises ConfigError for a part that does not fit, or cannot
+    act.
+    """
+    return Loop(**{
+        "plant": plant, "predictor": predictor, "dt": table.dt, "input_bounds": table.input_bounds,
+        "adaptation": adaptation(table, plant) if adapts else None, "actuator": table.actuator,
+        "observer": observer(table, plant), "watchdog": table.watchdog, "safety": table.safety,
+        "outlier_limit": table.outlier_limit, "max_sample_age": table.max_sample_age,
+    } | more)  # fmt: skip
 
 
 def observer(table: LoopTable, plant: Plant) -> StateObserver | None:
@@ -140,8 +147,13 @@ def targets(plant: Plant, table: LoopTable, t: np.ndarray) -> tuple[np.ndarray, 
 
 
 def truth(plant: Plant, table: LoopTable) -> Plant | None:
-    """The plant with the parameters of `truth`; None where there are none. Raises ConfigError for an unknown one."""
-    return plants.varied(plant, tuple(table.truth.items())) if table.truth else None
+    """The plant with the parameters of `truth`, times `truth_scale`; None where it is the same. Raises ConfigError for
+    an unknown one.
+    """
+    named = table.truth
+    if (scale := table.truth_scale) != 1.0:
+        named = {name: scale * value for name, value in (plant.parameters | named).items()}
+    return plants.varied(plant, tuple(named.items())) if named else None
 
 
 @dataclass(frozen=True)
@@ -150,7 +162,7 @@ class Starts:
 
     X0: np.ndarray  # (B, n)
     D: np.ndarray  # (B,)
-    D_hat0: np.ndarray  # (B,)
+    D_hat: np.ndarray  # (B,)
     cases: slice
     map: slice
     repeats: int  # cases of each initial state
@@ -171,20 +183,20 @@ def box(plant: Plant, config: Generate, data: bool = False) -> np.ndarray:
 
 
 def starts(pipeline: Pipeline, plant: Plant) -> Starts:
-    """Fig. 1's start, random states of the plant's box x case_D_hat0 at delay D, Fig. 1's state over the map.
+    """Fig. 1's start, random states of the plant's box x case_D_hat at delay D, Fig. 1's state over the map.
 
     Of a plant that declares its delay the random states alone: D and D_hat(0) mean nothing there.
     """
     config, ranges = pipeline.evaluate, box(plant, pipeline.generate)
     rng = randomness.generator(pipeline.seed, "evaluate", "cases")
     states = rng.uniform(ranges[:, 0], ranges[:, 1], (config.case_states, plant.n))
-    D, D_hat0 = np.meshgrid(config.map_D, config.map_D_hat0, indexing="ij")
-    estimates = config.case_D_hat0[: 1 if plant.declares_delay else None]
+    D, D_hat = np.meshgrid(config.map_D, config.map_D_hat, indexing="ij")
+    estimates = config.case_D_hat[: 1 if plant.declares_delay else None]
     cases, cells = config.case_states * len(estimates), D.size
     return Starts(
         np.concatenate([[config.X0], np.repeat(states, len(estimates), 0), np.tile(config.X0, (cells, 1))]),
         np.concatenate([np.full(1 + cases, config.D), D.ravel()]),
-        np.concatenate([[config.D_hat0], np.tile(estimates, config.case_states), D_hat0.ravel()]),
+        np.concatenate([[config.D_hat], np.tile(estimates, config.case_states), D_hat.ravel()]),
         slice(1, 1 + cases),
         slice(1 + cases, 1 + cases + cells),
         len(estimates),
@@ -194,12 +206,9 @@ def starts(pipeline: Pipeline, plant: Plant) -> Starts:
 def under(plant: Plant, pipeline: Pipeline, scenario: Scenario) -> Condition:
     """The cases of [evaluate] under the scenario."""
     table = pipeline.evaluate.under(scenario)
-    if scale := scenario.parameters_scale:
-        scaled = {name: scale * value for name, value in (plant.parameters | table.truth).items()}
-        table = table.model_copy(update={"truth": scaled})
     begin = starts(pipeline.model_copy(update={"evaluate": table}), plant)
     seed = randomness.integer(pipeline.seed, "scenarios")
-    X0, D_hat = begin.X0[begin.cases], begin.D_hat0[begin.cases]
+    X0, D_hat = begin.X0[begin.cases], begin.D_hat[begin.cases]
     return Condition(table, X0, true_delay(table, scenario), D_hat, table.case_t_end, seed)
 
 

@@ -1,28 +1,14 @@
 """The table [evaluate] with its scenarios and its guard."""
 
-from dataclasses import replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self, get_type_hints
 
 from pydantic import Field, create_model, model_validator
 
-from npred.lab.config.loop import Clock, Disturbance, Limits, LoopTable, Setpoint, StateObserver
-from npred.lab.config.section import (
-    Bounds,
-    Count,
-    Delay,
-    Law,
-    Nodes,
-    Number,
-    PerState,
-    Positive,
-    Range,
-    Section,
-    Some,
-)
-from npred.loop.loop import Actuator
-from npred.loop.measurement import PER_STATE, Sensors
+from npred.base.registry import FROZEN
+from npred.lab.config.loop import LoopTable
+from npred.lab.config.section import Bounds, Count, Delay, Nodes, Number, Positive, Range, Section, Some
 
-CASES = {"D_hat0": "case_D_hat0", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
+CASES = {"D_hat": "case_D_hat", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
 
 
 class Drift(Section):
@@ -39,53 +25,41 @@ class Jump(Section):
     at: Delay  #: in the plant's unit of time
 
 
-class Named(Section):
-    """A scenario's name."""
-
-    name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
-
-
-_kinds: dict[str, Any] = dict.fromkeys(Sensors.__dataclass_fields__, Number) | dict.fromkeys(PER_STATE, PerState)
-_sensors: dict[str, Any] = {
-    name: (kind | None, Field(None, description=f"as measurement.{name}")) for name, kind in _kinds.items()
-}
-Sensed: Any = create_model("Sensed", __base__=Named, **_sensors)
-
-
-class Scenario(Sensed):
+class _Scenario(Section):
     """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
 
-    parameters_scale: Positive | None = None  #: factor of all parameters of the simulated plant
-    parameters: dict[str, Number] = {}  #: as truth
-    disturbance: Disturbance | None = None  #: as disturbance
-    setpoints: dict[str, Setpoint] | None = None  #: as setpoints
-    actuator: Actuator | None = None  #: as actuator
-    timing: Clock | None = None  #: as timing
-    observer: StateObserver | None = None  #: as observer
-    safety: Limits | None = None  #: as safety
-    adaptation: Law | None = None  #: as adaptation
-    D_hat0: Some[Positive] | None = None  #: as case_D_hat0
+    name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
+    D_hat: Some[Positive] | None = None  #: as case_D_hat
+    t_end: Positive | None = None  #: as case_t_end
     drift: Drift | None = None  #: the true delay oscillates
     jump: Jump | None = None  #: the true delay jumps
-    t_end: Positive | None = None  #: as case_t_end
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for one, other in (("drift", "jump"), ("parameters", "parameters_scale")):
-            if getattr(self, one) and getattr(self, other):
-                raise ValueError(f"{one}, {other}: expected one of them, got both; drop one, or write two scenarios")
+        if self.drift and self.jump:
+            raise ValueError("drift, jump: expected one of them, got both; drop one, or write two scenarios")
         return self
 
     @property
     def about_delay(self) -> list[str]:
         """The keys that are given and mean nothing where the plant declares its delay."""
-        return [key for key in ("adaptation", "D_hat0", "drift", "jump") if getattr(self, key) is not None]
+        keys = ("adaptation", "gamma", "b", "bounds", "D_hat", "drift", "jump")
+        return [key for key in keys if getattr(self, key) is not None]
 
     def delays(self, D: float) -> Range:
         """The smallest and the largest true delay where it is D in [evaluate]."""
         reach = abs(self.drift.amplitude) if self.drift else 0.0
         ends = (D, self.jump.to) if self.jump else (D - reach, D + reach)
         return min(ends), max(ends)
+
+
+if TYPE_CHECKING:
+    Scenario = _Scenario
+else:  # with each key of a loop that is not that of the predictor, which is made once
+    _hints = get_type_hints(LoopTable, include_extras=True)
+    _keys = [key for key in LoopTable.model_fields if key not in ("nx", "predictor", *_Scenario.model_fields)]
+    _fields = {key: (_hints[key] | None, Field(None, description=f"as {key}")) for key in _keys}
+    Scenario = create_model("Scenario", __base__=_Scenario, __doc__=_Scenario.__doc__, __module__=__name__, **_fields)
 
 
 class GuardTable(Section):
@@ -99,20 +73,20 @@ class Evaluate(LoopTable):
     D_hat(0)) and a map D x D_hat(0).
     """
 
-    follows: ClassVar = ("D_hat0", "case_D_hat0")
-    mapped: ClassVar = ("map_D", "map_D_hat0")
+    follows: ClassVar = ("D_hat", "case_D_hat")
+    mapped: ClassVar = ("map_D", "map_D_hat")
     lasting: ClassVar = ("t_end", "case_t_end")
 
     t_end: Positive = 40.0  #: length of the loop of Fig. 1; times D
     nx: Nodes = 51  #: nodes of the predictors and of u; networks take any number
     D: Positive = 1.0  #: true delay
     X0: list[Number] = []  #: start of Fig. 1, one number per state; required
-    D_hat0: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
+    D_hat: Positive = 2.0  #: D_hat(0) of Fig. 1; times D
     case_states: Count = 10  #: random initial states of the cases …
-    case_D_hat0: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
+    case_D_hat: Some[Positive] = [0.3, 0.5, 1.0, 1.5, 2.0]  #: … times these D_hat(0); times D
     case_t_end: Positive = 40.0  #: length of these loops; times D
     map_D: list[Positive] = []  #: true delays of the convergence map …
-    map_D_hat0: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
+    map_D_hat: list[Positive] = []  #: … times these D_hat(0), from the start of Fig. 1
     #: bounds of U, a pair per input, of a second loop of Fig. 1; by default there is none
     figure_bounds: list[Bounds] | None = None
     scenarios: list[Scenario] = []  #: other conditions
@@ -122,13 +96,12 @@ class Evaluate(LoopTable):
     def under(self, scenario: Scenario) -> Self:
         """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
         values = {CASES.get(key, key): value for key, value in scenario if value is not None}
-        update = {key: value for key, value in values.items() if key in type(self).model_fields}
-        sensors = {key: value for key, value in values.items() if key in Sensors.__dataclass_fields__}
-        update |= {
-            "measurement": replace(self.measurement, **sensors),
-            "truth": self.truth | scenario.parameters,
-        }
-        return self.model_copy(update=update)
+        return self.model_copy(update={key: value for key, value in values.items() if key in type(self).model_fields})
+
+    @property
+    def adapts(self) -> bool:
+        laws = [self.adaptation, *(self.under(scenario).adaptation for scenario in self.scenarios)]
+        return any(law != FROZEN for law in laws)
 
     @property
     def bounded(self) -> Self | None:
@@ -149,22 +122,22 @@ class Evaluate(LoopTable):
                 table = self.under(scenario)
                 table.reached("delay", span)
                 table.lasts("t_end", table.case_t_end)
-                table.clocked()
+                table.acting(self.adapts)
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
-            for value in scenario.D_hat0 or []:
-                table.reached(f"scenarios[{k}].D_hat0", (value, value))
+            for value in scenario.D_hat or []:
+                table.reached(f"scenarios[{k}].D_hat", (value, value))
         return self
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        keys = {"D_hat0": self.D_hat0, "D": self.D}
-        for key in ("map_D", "case_D_hat0", "map_D_hat0"):
+        keys = {"D_hat": self.D_hat, "D": self.D}
+        for key in ("map_D", "case_D_hat", "map_D_hat"):
             keys |= {f"{key}[{k}]": value for k, value in enumerate(getattr(self, key))}
         for key, value in keys.items():
             self.reached(key, (value, value))
-        if bool(self.map_D) != bool(self.map_D_hat0):
-            raise ValueError("map_D, map_D_hat0: expected both or neither, got one; a map needs both axes")
+        if bool(self.map_D) != bool(self.map_D_hat):
+            raise ValueError("map_D, map_D_hat: expected both or neither, got one; a map needs both axes")
         if self.t_end > self.case_t_end:
             raise ValueError(
                 f"t_end: expected at most case_t_end = {self.case_t_end:g}, got {self.t_end:g}; raise that"

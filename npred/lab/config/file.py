@@ -117,7 +117,7 @@ def _sentence(error: ValidationError) -> str:
         table = "".join(f"{part}." for part in path[:-1] if isinstance(part, str))
         there = sorted({key.removeprefix(table).partition(".")[0] for key in keys if key.startswith(table)})
         expected = f"; expected one of {', '.join(there)}" if there else ""
-        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}"))
+        elsewhere = " or ".join(key for key in keys if key.endswith(f".{leaf}") and ".scenarios." not in key)
         near = similar(leaf, there) or similar(leaf, [part for key in keys for part in key.split(".")])
         return f"{where}: unknown key{expected}" + (f"; did you mean {elsewhere}?" if elsewhere else near)
     if first["type"] == "fault":

@@ -9,6 +9,7 @@ from npred.base.errors import bytes_text
 from npred.base.registry import FROZEN, PAPER
 from npred.lab.config.section import (
     Bounds,
+    Delay,
     Law,
     Method,
     Nodes,
@@ -20,11 +21,12 @@ from npred.lab.config.section import (
     Switch,
     built,
 )
-from npred.loop import control_step
+from npred.loop import acts, control_step
 from npred.loop.loop import Actuator
 from npred.loop.measurement import Sensors
 from npred.loop.safety import SafetyFilter
 from npred.loop.timing import ControlClock
+from npred.loop.watchdog import Watchdog
 
 LONGEST_RUN = 10**9  # control steps of a loop
 STEP = 6  # numbers that are kept of a step at least: X, P, U, D_hat, N and an energy
@@ -61,7 +63,8 @@ class LoopTable(Section):
     With `adaptation = "frozen"` D_hat stays at its first value; start it at D for a known delay. For a plant that
     declares its delay, leave out all keys about delays, estimates and laws.
 
-    Times are in the plant's unit. The defaults are for D = 1. For another D, estimates, bounds, delays, t_end without a
+    What npred.Loop has too means what it means there, and is refused where it cannot act. Times are in the plant's
+    unit. The defaults are for D = 1. For another D, estimates, bounds, delays, t_end without a
     value are multiplied by D (or by the middle of its range), and dt is that of npred.loop.control_step.usual for the
     middle too. Bounds without a value contain all delays and estimates.
     """
@@ -76,28 +79,29 @@ class LoopTable(Section):
     #: a method, as rk4 or rosenbrock, one of a package, or `file.py:Class`
     predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
-    gamma: Positive | None = None  #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D
-    b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]
-    bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D
-    input_bounds: list[Bounds] | None = None  #: the range of U, a pair per input; by default the plant's
-    #: the input before t = 0: numbers, "equilibrium", "law" (κ of the start), or rows over [-D, 0], the oldest first;
-    #: by default that of the plant's rest, where it has one within input_bounds, else 0
+    #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D. With adaptation
+    gamma: Positive | None = None
+    b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]. With adaptation
+    bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D. With adaptation
+    input_bounds: list[Bounds] | None = None
     u0: StartInput | None = None
-    #: whether u is measured, or computed from past commands and D_hat
     actuator: Actuator = "measured"
+    observer: StateObserver | None = None
+    watchdog: Annotated[Watchdog, built(Watchdog)] | None = None
+    safety: Limits | None = None
+    outlier_limit: Positive = 1.0
+    max_sample_age: Delay | None = None
+    measurement: Annotated[Sensors, built(Sensors)] = Sensors()
     #: parameters of the simulated plant that differ from the controller's model
     truth: dict[str, Number] = {}
-    measurement: Annotated[Sensors, built(Sensors)] = Sensors()  #: the sensors
-    #: the clock of the control loop, with actuator = "history"
-    timing: Clock | None = None
-    #: an observer of the state, with actuator = "history"
-    observer: StateObserver | None = None
-    #: a filter of U that keeps the plant's limits, `safe`; by default U is not filtered
-    safety: Limits | None = None
-    #: set-points while the loop runs: a parameter's times and values, as `{ aim = { at = [10.0], to = [2.0] } }`
-    setpoints: dict[str, Setpoint] = {}
-    #: a disturbance of the input
+    truth_scale: Positive = 1.0  #: factor of all parameters of the simulated plant
     disturbance: Disturbance = Disturbance()
+    #: a parameter's times and values, as `{ aim = { at = [10.0], to = [2.0] } }`
+    setpoints: dict[str, Setpoint] = {}
+    timing: Clock | None = None
+    integrator: Method = "rk4"
+
+    alone: ClassVar = False  # as npred.loop.acts asks a loop
 
     @model_validator(mode="before")
     @classmethod
@@ -123,8 +127,13 @@ class LoopTable(Section):
     @model_validator(mode="after")
     def _check(self) -> Self:
         self.lasts("t_end", self.t_end)
-        self.clocked()
+        self.acting(self.adapts)
         return self
+
+    @property
+    def adapts(self) -> bool:
+        """True if a law moves D_hat in some of its loops."""
+        return self.adaptation != FROZEN
 
     @property
     def longest(self) -> float:
@@ -136,12 +145,20 @@ class LoopTable(Section):
         """True if loops are run: data may come from a file."""
         return not getattr(self, "data", "")
 
-    def clocked(self) -> None:
-        """Raise ValueError for parts that read the controller's own commands where it is given u."""
-        parts = {"timing": self.timing, "observer": self.observer, "safety.delay": self.safety and self.safety.delay}
-        for key, value in parts.items():
-            if value and self.actuator != "history":
-                raise ValueError(f'{key}: expected actuator = "history", got {self.actuator!r}; give it, or no {key}')
+    @property
+    def on_a_clock(self) -> bool:
+        """True if calls, samples and commands each have their times."""
+        return any((self.timing, self.observer, self.watchdog))
+
+    def acting(self, adapts: bool) -> None:
+        """Raise ValueError for keys that cannot act, whatever the plant; those of a law where no loop adapts D_hat."""
+        fields = type(self).model_fields
+        given = [key for key in fields if getattr(self, key) != fields[key].default]
+        acts.refuse(self, given, whole=False)
+        for key in () if adapts else ("gamma", "b", "bounds"):
+            if key in given:
+                came = f'got adaptation = "{FROZEN}"'
+                raise ValueError(f"{key}: expected a law that adapts D_hat, {came}; name one, or leave {key} out")
 
     def lasts(self, key: str, time: float) -> None:
         """Raise ValueError for loops shorter than a control step, or with more steps than a record can hold."""

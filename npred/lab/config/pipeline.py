@@ -31,18 +31,18 @@ NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # a pipeline's name
 class Generate(LoopTable):
     """Rollouts with the numerical predictor, and samples of them.
 
-    A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat0. A share `redraw` of the
-    training rows has a D_hat from explore_D_hat0, and with `spread` an X and u off the loop; the numerical predictor
+    A share `explore` of the rollouts has other delays, from explore_D and explore_D_hat. A share `redraw` of the
+    training rows has a D_hat from explore_D_hat, and with `spread` an X and u off the loop; the numerical predictor
     labels them. Use `spread` if the delay is known: exact loops then follow one curve, and loops of networks leave it.
     """
 
-    follows: ClassVar = ("D_hat0", "explore_D", "explore_D_hat0")
+    follows: ClassVar = ("D_hat", "explore_D", "explore_D_hat")
 
     samples: Count = 5000  #: rows of data
     rollouts: Count = 50  #: loops of these rows
     D: Range | Positive = 1.0  #: true delay, or its range
     #: ranges of D_hat(0), an equal share of rollouts each; times D
-    D_hat0: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
+    D_hat: Some[Range] = [(0.3, 0.7), (1.0, 2.0), (1.0, 2.0)]
     box: dict[str, Span] = {}  #: range of each initial state; by default the plant's
     test_share: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.1  #: share of held-out rollouts
     explore: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0  #: share of exploring rollouts
@@ -50,7 +50,7 @@ class Generate(LoopTable):
     #: largest distance of redrawn rows from the loop, in standard deviations of X and u
     spread: Delay = 0.0
     explore_D: Range = (0.25, 2.0)  #: D of exploring rollouts; times D
-    explore_D_hat0: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
+    explore_D_hat: Range = (0.25, 3.5)  #: D_hat(0) of exploring rollouts, D_hat of redrawn rows; times D
     data: str = ""  #: samples of a file as data.h5 of this stage, instead of rollouts
 
     @property
@@ -63,13 +63,13 @@ class Generate(LoopTable):
         if self.explore:
             self.reached("explore_D", self.explore_D)
         if self.explore or self.redraw:
-            self.reached("explore_D_hat0", self.explore_D_hat0)
+            self.reached("explore_D_hat", self.explore_D_hat)
         return self
 
     @model_validator(mode="after")
     def _check_delays(self) -> Self:
-        for k, span in enumerate(self.D_hat0):
-            self.reached(f"D_hat0[{k}]", span)
+        for k, span in enumerate(self.D_hat):
+            self.reached(f"D_hat[{k}]", span)
         self.reached("D", self.D if isinstance(self.D, tuple) else (self.D, self.D))
         if self.rollouts < 2:
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")

@@ -1,7 +1,7 @@
 """A table of the pipeline file, and the types of its keys."""
 
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
@@ -59,6 +59,8 @@ def built(kind: type) -> BeforeValidator:
             return value
         for key in value.keys() - {field.name for field in fields(kind)}:
             raise PydanticCustomError("extra_forbidden", "{key}", {"key": key})
+        if missing := [each.name for each in fields(kind) if each.default is MISSING and each.name not in value]:
+            raise PydanticCustomError("fault", "{fault}", {"fault": f"expected {missing[0]}, got none; write it"})
         return kind(**value)
 
     return BeforeValidator(build)

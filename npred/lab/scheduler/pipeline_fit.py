@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from npred import diagnosis, plants
+from npred import diagnosis
 from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.registry import NETWORKS
@@ -18,7 +18,7 @@ from npred.estimation.adaptation import DelayAdaptation, undeclared
 from npred.guard.guarded import Guarded
 from npred.lab.config import FROZEN, PAPER, LoopTable, Pipeline, Scenario, conditions
 from npred.lab.config.conditions import Condition
-from npred.loop import clocked, control_step
+from npred.loop import control_step
 from npred.loop.simulation import LANES
 from npred.loop.trajectories import Trajectories
 from npred.plants import Plant, inputs
@@ -28,8 +28,8 @@ from npred.prediction.delays import problem_of
 
 STAGES = ("generate", "train", "evaluate", "bench")
 ABOUT_DELAY = (  # keys that a plant which declares its delay has no use for
-    "adaptation", "gamma", "b", "bounds", "D", "D_hat0", "case_D_hat0", "map_D", "map_D_hat0", "explore", "redraw",
-    "explore_D", "explore_D_hat0",
+    "adaptation", "gamma", "b", "bounds", "D", "D_hat", "case_D_hat", "map_D", "map_D_hat", "explore", "redraw",
+    "explore_D", "explore_D_hat",
 )  # fmt: skip
 TIMES = 1001  # at which a delay by which networks tell the time is looked at
 SIMULATED = ("box", "finite", "equilibrium", "stability", "reference", "adaptation")  # what a doubt needs
@@ -59,14 +59,19 @@ class PipelineFit:
         return self.pipeline.evaluate.scenarios if "evaluate" in self.stages else []
 
     @property
+    def conditions(self) -> list[LoopTable]:
+        """The tables of all loops, those of scenarios too."""
+        return [*self.loops.values(), *map(self.pipeline.evaluate.under, self.scenarios)]
+
+    @property
     def longest_delay(self) -> float:
         """The longest delay or first estimate of one that the loops have."""
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
-        spans = [(evaluate.D, evaluate.D_hat0), evaluate.case_D_hat0, evaluate.map_D, evaluate.map_D_hat0]
+        spans = [(evaluate.D, evaluate.D_hat), evaluate.case_D_hat, evaluate.map_D, evaluate.map_D_hat]
         if list(self.loops) != ["evaluate"]:
-            spans += [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat0]
+            spans += [generate.D if isinstance(generate.D, tuple) else (generate.D,), *generate.D_hat]
             spans += [generate.explore_D] if generate.explore else []
-            spans += [generate.explore_D_hat0] if generate.explore or generate.redraw else []
+            spans += [generate.explore_D_hat] if generate.explore or generate.redraw else []
         return max(time for span in spans for time in span)
 
     def case(self, delay: float | None = None, nx: int | None = None, u0: Any = None) -> Case:
@@ -74,7 +79,7 @@ class PipelineFit:
         generate, evaluate = self.pipeline.generate, self.pipeline.evaluate
         table = evaluate if "generate" not in self.loops and "evaluate" in self.loops else generate
         boxes = generate.box if table is generate else {}
-        laws = [table.adaptation for table in (*self.loops.values(), *self.scenarios) if table.adaptation is not None]
+        laws = [table.adaptation for table in self.conditions]
         adaptive = self._adaptive if evaluate.adaptation == PAPER else None
         D = evaluate.D if delay is None and not self.plant.declares_delay and "evaluate" in self.loops else None
         asked = PlannedExperiment(boxes, table.input_bounds, laws, evaluate.case_t_end, D, adaptive)
@@ -92,7 +97,7 @@ class PipelineFit:
         table = self.pipeline.evaluate
         law = conditions.adaptation(table, self.plant)
         assert isinstance(law, DelayAdaptation)
-        X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat0, *table.case_D_hat0}))
+        X0, D_hat = case.X[:STARTS], np.array(sorted({table.D_hat, *table.case_D_hat}))
         X0 = np.concatenate([[table.X0], X0[1:]]) if len(table.X0) == self.plant.n else X0
         seconds, derived = case.times[1], table.gamma is None
         return AdaptiveLoops(law, table.D, D_hat, X0, table.dt, seconds, table.nx, derived, self._simulated)
@@ -236,7 +241,7 @@ def room(fit: PipelineFit) -> None:
     pipeline, row = fit.pipeline, 8 * (fit.plant.n + fit.plant.m)  # bytes of a node, of P and u
     generate, evaluate, bench = pipeline.generate, pipeline.evaluate, pipeline.bench
     certify = pipeline.optional("certify")
-    lanes = {"generate": generate.rollouts, "evaluate": evaluate.case_states * len(evaluate.case_D_hat0)}
+    lanes = {"generate": generate.rollouts, "evaluate": evaluate.case_states * len(evaluate.case_D_hat)}
     asked = [(stage, f"{stage}.nx", row * loop.nx * min(lanes[stage], LANES)) for stage, loop in fit.loops.items()]
     asked += [
         ("generate", "generate.nx", row * generate.nx * generate.samples * min(1, LANES / generate.rollouts)),
@@ -282,16 +287,8 @@ def parts(fit: PipelineFit) -> None:
     for name in fit.pipeline.train.models if "train" in fit.stages else ():
         table = fit.pipeline.train.table(name)
         NETWORKS.check_keywords(f"train.{name}.sizes", table.architecture, table.arguments)
-    tables = [*fit.loops.values(), *(fit.pipeline.evaluate.under(scenario) for scenario in fit.scenarios)]
-    for loop in tables:
-        conditions.adaptation(loop, fit.plant)
-        estimator = conditions.observer(loop, fit.plant)
-        loop.measurement.check(fit.plant, estimator and len(estimator.outputs))
-        if loop.timing or estimator:
-            clocked.serves(fit.plant)
-        if loop.safety:
-            loop.safety.check(fit.plant)
-        plants.varied(fit.plant, tuple(loop.truth.items()))
-        predictors.numerical(loop.predictor, fit.plant, loop.nx)
+    for table in fit.conditions:
+        D, exact = table.longest, predictors.numerical(table.predictor, fit.plant, table.nx)
+        Condition(table, np.zeros((1, fit.plant.n)), D, D, table.t_end, seed=0).loop(fit.plant, exact)
     if "evaluate" in fit.stages and (guard := fit.pipeline.evaluate.guard):
         Guarded(predictors.RK4(fit.plant, fit.pipeline.evaluate.nx), **dict(guard))

@@ -28,7 +28,7 @@ def test_the_activator_ends_where_the_published_figure_does():
 def test_the_activators_loop_as_meant_is_the_one_that_the_papers_pipeline_draws_first():
     paper, meant = config.load(HERE.parent / "pipeline" / "paper.toml").evaluate, activator_unknown_delay
     assert paper.bounded.input_bounds == [meant.CLIPPED] and paper.input_bounds is None
-    assert (paper.D, paper.D_hat0, tuple(paper.X0)) == (meant.D, meant.D_HAT, meant.X0)
+    assert (paper.D, paper.D_hat, tuple(paper.X0)) == (meant.D, meant.D_HAT, meant.X0)
     assert (paper.gamma, paper.b, paper.bounds, paper.dt) == (meant.GAMMA, meant.B, meant.BOUNDS, meant.DT)
 
 

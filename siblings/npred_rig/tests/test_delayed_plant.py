@@ -12,7 +12,7 @@ from npred_rig.sides import DelayedPlant
 
 def scalar(D: float) -> DelayedPlant:
     plant = npred.plant("scalar")  # X' = X/2 + U
-    return DelayedPlant(plant, Evaluate(X0=[1.0], D=D, D_hat0=D, dt=0.02), np.zeros(1))
+    return DelayedPlant(plant, Evaluate(X0=[1.0], D=D, D_hat=D, dt=0.02), np.zeros(1))
 
 
 def exact(X: float, U: float, span: float) -> float:

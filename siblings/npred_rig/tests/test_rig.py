@@ -27,7 +27,7 @@ plant = "scalar"
 [evaluate]
 X0 = [1.0]
 D = 0.2
-D_hat0 = 0.5
+D_hat = 0.5
 bounds = [0.1, 0.8]
 dt = 0.02
 nx = 21
@@ -201,7 +201,7 @@ plant = "pendulum.py:Pendulum"
 [evaluate]
 X0 = [0.3, 0.0]
 D = 0.05
-D_hat0 = 0.06
+D_hat = 0.06
 adaptation = "frozen"
 actuator = "history"
 observer = { kind = "luenberger" }

@@ -82,9 +82,9 @@ def test_a_parameter_that_the_plant_does_not_have_is_refused():
 
 
 def test_starts_are_figure_1_then_cases_then_the_map():
-    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat0": [0.6, 0.7, 0.8]})
+    tables_ = tables(evaluate={"map_D": [0.5, 1.5], "map_D_hat": [0.6, 0.7, 0.8]})
     begin = starts(config.parse(tables_ | {"seed": 0}, "tests"), PLANT)
-    assert begin.D_hat0.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
+    assert begin.D_hat.tolist() == [2.0, 0.8, 1.2, 0.8, 1.2, 0.6, 0.7, 0.8, 0.6, 0.7, 0.8]
     assert begin.D.tolist() == [1.0] * 5 + [0.5] * 3 + [1.5] * 3
     np.testing.assert_array_equal(begin.X0[begin.map], np.tile([0.03, 30.0], (6, 1)))
     np.testing.assert_array_equal(begin.X0[1], begin.X0[2])

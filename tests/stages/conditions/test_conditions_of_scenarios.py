@@ -10,6 +10,7 @@ from npred.lab import config
 from npred.lab.config import Evaluate, Scenario, conditions
 
 PLANT = npred.plant("activator_repressor")
+RK4 = npred.predictor(PLANT, "rk4", 11)
 
 
 def test_the_delay_of_a_scenario():
@@ -26,18 +27,22 @@ def test_the_delay_of_a_scenario():
 
 def test_scaled_parameters_are_those_of_the_truth():
     pipeline = config.parse({"plant": PLANT.name, "evaluate": {"X0": [0.03, 30.0], "truth": {"Ka": 0.05}}}, "tests")
-    scaled = conditions.under(PLANT, pipeline, Scenario(name="a", parameters_scale=1.1)).table.truth
+    scaled, given = (
+        conditions.under(PLANT, pipeline, Scenario.model_validate({"name": "a"} | key)).loop(PLANT, RK4).real.parameters
+        for key in ({"truth_scale": 1.1}, {"truth": {"Kb": 0.005}})
+    )
     assert scaled == {name: pytest.approx(1.1 * value) for name, value in (PLANT.parameters | {"Ka": 0.05}).items()}
-    given = conditions.under(PLANT, pipeline, Scenario(name="a", parameters={"Kb": 0.005})).table.truth
-    assert given == {"Ka": 0.05, "Kb": 0.005}
+    assert given == PLANT.parameters | {"Kb": 0.005}
 
 
 def test_a_scenario_may_have_a_clock():
     """Its loops are those of npred.simulate with the clock, whatever part of the batch they are run in."""
-    evaluate = {"X0": [0.1], "D": 0.2, "case_states": 3, "case_D_hat0": [0.2], "adaptation": "frozen", "dt": 0.01}
+    evaluate = {"X0": [0.1], "D": 0.2, "case_states": 3, "case_D_hat": [0.2], "adaptation": "frozen", "dt": 0.01}
     pipeline = config.parse({"plant": "scalar", "evaluate": evaluate | {"case_t_end": 2.0, "t_end": 2.0}}, "tests")
     clock = {"jitter": 0.3, "lost": 0.2}
-    scenario = Scenario.model_validate({"name": "a", "actuator": "history", "timing": clock, "delay": 0.05})
+    scenario = Scenario.model_validate(
+        {"name": "a", "actuator": "history", "timing": clock, "measurement": {"delay": 0.05}}
+    )
     plant = npred.plant("scalar")
     predictor = npred.predictor(plant, "rk4", nx=11)
     condition = conditions.under(plant, pipeline, scenario)
@@ -54,10 +59,10 @@ def test_a_scenario_may_have_a_clock():
 
 def test_a_scenario_may_observe_the_state():
     """The chemostat from one of its states, which is what the samples then are."""
-    evaluate = {"X0": [2.5, 2.2], "D": 0.5, "case_states": 2, "case_D_hat0": [0.5], "adaptation": "frozen", "dt": 0.01}
+    evaluate = {"X0": [2.5, 2.2], "D": 0.5, "case_states": 2, "case_D_hat": [0.5], "adaptation": "frozen", "dt": 0.01}
     pipeline = config.parse({"plant": "chemostat", "evaluate": evaluate | {"case_t_end": 20.0, "t_end": 20.0}}, "tests")
     observer = {"kind": "ekf", "outputs": ["S"], "offset": True}
-    scenario = {"name": "a", "actuator": "history", "observer": observer, "resolution": [0.01]}
+    scenario = {"name": "a", "actuator": "history", "observer": observer, "measurement": {"resolution": [0.01]}}
     plant = npred.plant("chemostat")
     condition = conditions.under(plant, pipeline, Scenario.model_validate(scenario))
     run = condition.loops(plant, npred.predictor(plant, "rk4", nx=11))

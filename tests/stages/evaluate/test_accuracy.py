@@ -17,7 +17,7 @@ from npred.lab.training.data.dataset import Dataset
 from npred.prediction.methods import RK4, Euler
 
 PLANT = plants.resolve("activator_repressor")
-RANGES = {"D": 1.0, "D_hat0": [(0.9, 1.1)], "explore_D": (0.3, 0.4), "explore_D_hat0": (3.0, 3.5), "explore": 0.4}
+RANGES = {"D": 1.0, "D_hat": [(0.9, 1.1)], "explore_D": (0.3, 0.4), "explore_D_hat": (3.0, 3.5), "explore": 0.4}
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +114,7 @@ def test_nobody_knows_the_kind_of_imported_rows(made, tmp_path):
 
 def test_a_held_out_explorer_that_diverges_is_left_out_with_a_note(tmp_path, made):
     """States that Euler's method leaves the finite numbers from, at the delay estimates of explorers only."""
-    lost = {"explore": 0.4, "explore_D_hat0": (0.9, 1.1), "box": {"x1": [1e200, 1e200]}}
+    lost = {"explore": 0.4, "explore_D_hat": (0.9, 1.1), "box": {"x1": [1e200, 1e200]}}
     task = job(tmp_path, "lost", generate=lost)
     with pytest.raises(DivergedError):
         sampling.rows(task.config, PLANT, range(10, 11))

@@ -33,7 +33,7 @@ def test_scores_are_medians_over_the_cases(tmp_path):
 
 def test_a_delay_is_in_the_band_where_no_loop_is_lost_that_numerics_keep(tmp_path):
     """Three delays, two estimates: at the second delay both lose a loop, at the third the network loses another."""
-    table = {"map_D": [0.5, 1.0, 1.5], "map_D_hat0": [0.6, 0.7]}
+    table = {"map_D": [0.5, 1.0, 1.5], "map_D_hat": [0.6, 0.7]}
     config, home = job(tmp_path, "map", evaluate=table).config.evaluate, 9
     exact = known_loops([home, home, home, NEVER, home, home], [0.0] * 6)
     run = known_loops([home, home, home, NEVER, NEVER, home], [0.0] * 6)

@@ -24,8 +24,9 @@ TABLES = {
     "plant": TANK,
     "generate": {"u0": "equilibrium", "bounds": (0.1, 4.0), "dt": 0.02, "t_end": 10.0},
     "evaluate": {"X0": [2.8, 25.0], "u0": "equilibrium", "dt": 0.02, "t_end": 10.0, "case_t_end": 12.0,
-                 "case_D_hat0": [0.3, 0.5, 1.0, 1.5, 2.0],
-                 "scenarios": [{"name": "noise", "relative_noise": 0.01}, {"name": "pipe", "parameters": {"L": 42.0}}]},
+                 "case_D_hat": [0.3, 0.5, 1.0, 1.5, 2.0],
+                 "scenarios": [{"name": "noise", "measurement": {"relative_noise": 0.01}},
+                               {"name": "pipe", "truth": {"L": 42.0}}]},
 }  # fmt: skip
 
 
@@ -142,7 +143,7 @@ class Growing:
 def test_loops_of_a_scenario_that_end_are_reported_with_its_name(tmp_path):
     """x grows until the first command arrives: with c = 4 that never does, for the delay grows faster than time."""
     (tmp_path / "growing.py").write_text(GROWING)
-    tables = [{"name": "as it is"}, {"name": "4 x", "parameters": {"c": 4.0}}]
+    tables = [{"name": "as it is"}, {"name": "4 x", "truth": {"c": 4.0}}]
     task = job(tmp_path, "evaluate", plant=f"{tmp_path}/growing.py:Growing",
                generate={"D": 1.0}, evaluate={"X0": [0.3], "case_t_end": 20.0, "scenarios": tables})  # fmt: skip
     usual, slow = behaviour.run_scenarios(task, {NUMERICAL: RK4(task.plant, 21)})

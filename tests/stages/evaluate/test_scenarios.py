@@ -19,10 +19,10 @@ from npred.prediction.methods import RK4
 PLANT = npred.plant(NAME)
 TABLES = [
     {"name": "as it is"},
-    {"name": "noise", "relative_noise": 0.02, "period": 0.05},
-    {"name": "other plant", "parameters_scale": 1.03},
+    {"name": "noise", "measurement": {"relative_noise": 0.02, "period": 0.05}},
+    {"name": "other plant", "truth_scale": 1.03},
     {"name": "drift", "drift": {"amplitude": 0.2, "period": 3.0}, "actuator": "history"},
-    {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "D_hat0": [0.4], "t_end": 8.0},
+    {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "D_hat": [0.4], "t_end": 8.0},
 ]
 
 
@@ -55,7 +55,7 @@ def test_a_scenario_is_what_simulate_does_under_it(tmp_path):
     task = job(tmp_path, "same")
     begin = starts(task.config, PLANT)
     loops = npred.simulate(
-        PLANT, RK4(PLANT, 21), D=lambda t: 1 + 0.2 * math.sin(2 * math.pi * t / 3), D_hat=begin.D_hat0[begin.cases],
+        PLANT, RK4(PLANT, 21), D=lambda t: 1 + 0.2 * math.sin(2 * math.pi * t / 3), D_hat=begin.D_hat[begin.cases],
         X0=begin.X0[begin.cases], t_end=6.0, dt=0.01, adaptation=npred.DelayAdaptation(1000.0, 1.0, (0.1, 4.0)),
         actuator="history",
     )  # fmt: skip

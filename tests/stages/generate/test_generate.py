@@ -234,7 +234,7 @@ def test_seed_and_shares(tmp_path):
 
 def test_more_rollouts_leave_the_first_ones_alone(tmp_path):
     """Each rollout has its own seed: the starts of the first do not depend on how many follow."""
-    one = {"D_hat0": [(1.0, 2.0)], "D": [0.5, 1.5]}
+    one = {"D_hat": [(1.0, 2.0)], "D": [0.5, 1.5]}
     _, few = rows(tmp_path, "few", generate=one)
     _, many = rows(tmp_path, "many", generate=one | {"rollouts": 20, "samples": 600})
     for r in range(10):
@@ -257,7 +257,7 @@ def test_summary_says_the_numbers(tmp_path):
 
 
 def test_explorers_have_delays_of_their_own_and_are_not_held_out(tmp_path):
-    ranges = {"D": 1.0, "D_hat0": [(0.9, 1.1), (1.9, 2.1)], "explore_D": (0.3, 0.4), "explore_D_hat0": (3.0, 3.5)}
+    ranges = {"D": 1.0, "D_hat": [(0.9, 1.1), (1.9, 2.1)], "explore_D": (0.3, 0.4), "explore_D_hat": (3.0, 3.5)}
     result, data = rows(tmp_path, generate=ranges | {"explore": 0.5, "test_share": 0.4})
     explorers = data.rollout >= 5
     assert ((data.D[explorers] >= 0.3) & (data.D[explorers] <= 0.4)).all() and (data.D[~explorers] == 1).all()
@@ -269,7 +269,7 @@ def test_two_rollouts_at_least_do_not_explore():
 
 
 def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(tmp_path):
-    one = {"D_hat0": [(1.0, 2.0)], "D": 1.0, "explore_D_hat0": (3.0, 3.5)}
+    one = {"D_hat": [(1.0, 2.0)], "D": 1.0, "explore_D_hat": (3.0, 3.5)}
     _, plain = rows(tmp_path, "plain", generate=one)
     _, data = rows(tmp_path, "redrawn", generate=one | {"redraw": 0.5})
     changed = data.D_hat != plain.D_hat
@@ -282,7 +282,7 @@ def test_redrawn_delay_estimates_are_labelled_anew_and_spare_the_held_out_rows(t
 
 
 def test_redrawn_rows_are_off_the_loop_by_up_to_spread_and_by_far_less(tmp_path):
-    one = {"D_hat0": [(1.0, 2.0)], "D": 1.0, "redraw": 0.5}
+    one = {"D_hat": [(1.0, 2.0)], "D": 1.0, "redraw": 0.5}
     _, plain = rows(tmp_path, "plain", generate=one)
     _, data = rows(tmp_path, "spread", generate=one | {"spread": 0.1})
     np.testing.assert_array_equal(data.D_hat, plain.D_hat)
@@ -349,9 +349,9 @@ def test_commands_that_overtake_each_other_name_rollout_step_state_and_value(tmp
 
 
 def test_each_range_of_estimates_has_an_equal_share_of_the_rollouts(tmp_path):
-    task = job(tmp_path, "any", generate={"D_hat0": [(0.5, 0.6), (1.5, 1.6)]})
-    _, _, D_hat0, _ = sampling.starts(0, task.config.generate, task.plant, range(10))
-    assert ((D_hat0[:5] >= 0.5) & (D_hat0[:5] <= 0.6)).all() and ((D_hat0[5:] >= 1.5) & (D_hat0[5:] <= 1.6)).all()
+    task = job(tmp_path, "any", generate={"D_hat": [(0.5, 0.6), (1.5, 1.6)]})
+    _, _, D_hat, _ = sampling.starts(0, task.config.generate, task.plant, range(10))
+    assert ((D_hat[:5] >= 0.5) & (D_hat[:5] <= 0.6)).all() and ((D_hat[5:] >= 1.5) & (D_hat[5:] <= 1.6)).all()
 
 
 def test_displacements_are_of_all_orders_of_magnitude_and_smooth():

@@ -127,7 +127,7 @@ def test_a_range_is_accepted_and_the_estimate_searches_it(folder: Path):
     assert done.exit_code == 0 and "was accepted as a range" in done.stdout, done.output
     loop = config.load(folder / "log.toml").evaluate
     low, high = loop.bounds
-    assert low < loop.D_hat0 < loop.D < high == pytest.approx(0.4) and loop.adaptation == "delay-observer"
+    assert low < loop.D_hat < loop.D < high == pytest.approx(0.4) and loop.adaptation == "delay-observer"
 
 
 def test_several_recordings_are_one_question(folder: Path):

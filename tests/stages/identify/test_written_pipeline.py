@@ -90,7 +90,7 @@ def test_the_control_step_is_a_part_of_the_period(D: float, period: float, dt: f
     pipeline, _ = made("Room", [D], [(0.9 * D, 1.1 * D)], period)
     assert pipeline.evaluate.dt == pipeline.generate.dt == pytest.approx(dt)
     assert pipeline.evaluate.measurement.period == pytest.approx(period)
-    assert pipeline.evaluate.t_end > 5 * D and pipeline.evaluate.D_hat0 == D
+    assert pipeline.evaluate.t_end > 5 * D and pipeline.evaluate.D_hat == D
 
 
 def test_a_delay_of_zero_is_that_of_a_control_step():

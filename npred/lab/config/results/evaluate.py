@@ -67,7 +67,7 @@ class DelayMap(Result):
     """The loops that converge, by true delay and first estimate."""
 
     D: list[float]  #: true delays, in the plant's unit of time
-    D_hat0: list[float]  #: first estimates
+    D_hat: list[float]  #: first estimates
     converged: list[list[bool]]  #: one row per D
     share: float  #: share of the numerical predictor's converging loops
     band: tuple[float, float] | None  #: range of D in which all of them converge; `null` for none

@@ -57,8 +57,8 @@ def figure1(evaluation: EvaluationData) -> Figure:
         limits = "".join(f", {symbol(plant, name)} in [{low:g}, {high:g}]" for name, (low, high) in ranges)
     elif evaluation.bounded and plant.input_bounds is None:  # the pipeline draws a bounded loop too
         limits = ", U without bounds"
-    D, D_hat0 = map(plant.time_text, (config.D, config.D_hat0))
-    delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat0}"
+    D, D_hat = map(plant.time_text, (config.D, config.D_hat))
+    delay = "the delay that the plant declares" if plant.declares_delay else f"D = {D} and D̂(0) = {D_hat}"
     caption = (
         f"One closed loop{f' [{plant.figure}]' if plant.figure else ''} "
         f"from X(0) = ({', '.join(f'{value:g}' for value in config.X0)}) with {delay}, run with each "
@@ -224,7 +224,7 @@ def delays(evaluation: EvaluationData) -> Figure | None:
         missed = exact & ~converged
 
         def draw(axis: Axes, predictor: PredictorId = predictor, cells: DelayMap = cells) -> None:
-            x, y = np.meshgrid(cells.D_hat0, cells.D)
+            x, y = np.meshgrid(cells.D_hat, cells.D)
             converged, colour = np.array(cells.converged), line_of(predictor).colour
             missed = exact & ~converged
             size = min(90.0, 2600 / max(converged.shape) ** 1.6)

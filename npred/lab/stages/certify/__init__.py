@@ -12,7 +12,7 @@ STAGE = Stage(
     result_class="npred.lab.config.results:Certified",
     table_class="npred.lab.stages.certify.table:Certify",
 )
-NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat0")
+NO_LOOPS_OF_IT = ("scenarios", "map_D", "map_D_hat")
 
 
 def key(slices: Slices) -> dict[str, Any]:

@@ -62,8 +62,8 @@ def fresh(loops: Trajectories, t: np.ndarray, exact: Predictor) -> Labelled:
 def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
     """Rows of each kind that the networks were trained on; the first are the data's, and the headline's.
 
-    nominal: rollouts with the delays of `D` and `D_hat0`, and the D_hat of the loop. exploring: rollouts with the
-    delays of `explore_D` and `explore_D_hat0`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat0`, and
+    nominal: rollouts with the delays of `D` and `D_hat`, and the D_hat of the loop. exploring: rollouts with the
+    delays of `explore_D` and `explore_D_hat`. redrawn: the rows of both with a D_hat drawn from `explore_D_hat`, and
     moved by `spread`. Of imported data, `imported`, nobody knows what they are. Rows that are not finite are left out,
     with a note.
     """
@@ -78,7 +78,7 @@ def held_out(job: Job, data: Dataset) -> dict[str, Labelled]:
     if config.redraw:
         X, u, _, _, t = (np.concatenate(column) for column in zip(*kinds.values(), strict=True))
         rng = randomness.generator(job.config.seed, "held out", "redraw")
-        D_hat = rng.uniform(*config.explore_D_hat0, len(X))
+        D_hat = rng.uniform(*config.explore_D_hat, len(X))
         aside, push = sampling.spread(rng, config, X, u) if config.spread else (0.0, 0.0)
         X, u = X + aside, u + push
         P = numerical(config.predictor, job.plant, config.nx)(X, u, D_hat, t)

@@ -108,12 +108,12 @@ def delay_map(plant: Plant, config: Evaluate, loops: Trajectories, reference: Tr
 
     `band` is the range of D in which every loop converges that does so with the numerical predictor.
     """
-    shape, target = (len(config.map_D), len(config.map_D_hat0)), metrics.target(plant, loops)
+    shape, target = (len(config.map_D), len(config.map_D_hat)), metrics.target(plant, loops)
     radii = (metrics.radius(run, target) for run in (loops, reference))
     converged, exact = (metrics.converged(each, target).reshape(shape) for each in radii)
     safe = [D for D, row, goal in zip(config.map_D, converged, exact, strict=True) if (row | ~goal).all()]
     return DelayMap(
-        D=config.map_D, D_hat0=config.map_D_hat0, converged=converged.tolist(),
+        D=config.map_D, D_hat=config.map_D_hat, converged=converged.tolist(),
         share=(converged & exact).sum() / max(exact.sum(), 1), band=(min(safe), max(safe)) if safe else None,
     )  # fmt: skip
 

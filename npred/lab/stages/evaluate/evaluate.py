@@ -186,7 +186,7 @@ def _loops(
     if not predictor_id.is_network:
         taken = accuracy.sample_steps(job.config.seed, config, begin.of(predictor_id))[part]
     seed = randomness.integer(job.config.seed, "evaluate", "noise")
-    whole = Condition(config, begin.X0, begin.D, begin.D_hat0, config.case_t_end, seed, adapts=predictor_id.adapts)
+    whole = Condition(config, begin.X0, begin.D, begin.D_hat, config.case_t_end, seed, adapts=predictor_id.adapts)
     return whole.part(part).loops(job.plant, predictor, every=EVERY, samples=taken, progress=progress)
 
 
@@ -201,11 +201,11 @@ def _warn(
     poor = {each for each, row in models.items() if each.is_network and row.rel_l2 >= POOR}
     longer = "it predicts poorly, train it longer first"
     for quantity, cover in covered.items():
-        cure = "widen generate's box, D or D_hat0"
+        cure = "widen generate's box, D or D_hat"
         if job.plant.declares_delay:
             cure = "widen generate's box or lengthen its t_end"
         elif quantity == "D_hat":
-            cure = "widen generate's D_hat0 or narrow bounds"
+            cure = "widen generate's D_hat or narrow bounds"
         for network_id, share in cover.outside.items():
             if share > behaviour.OUTSIDE:
                 low, high = cover.data

@@ -75,10 +75,10 @@ def joined(parts: list[Columns]) -> Columns:
 def _chunk(pipeline: Pipeline, plant: Plant, chunk: range, finite: bool, progress: Progress) -> Columns:
     """Closed loops from random starts, sampled at random steps, P by the predictor."""
     config = pipeline.generate
-    X0, D, D_hat0, taken_at = starts(pipeline.seed, config, plant, chunk)
+    X0, D, D_hat, taken_at = starts(pipeline.seed, config, plant, chunk)
     predictor = numerical(config.predictor, plant, config.nx)
     noise = randomness.integer(pipeline.seed, "measurement")
-    loops = Condition(config, X0, D, D_hat0, config.t_end, noise, first=chunk.start).loops(
+    loops = Condition(config, X0, D, D_hat, config.t_end, noise, first=chunk.start).loops(
         plant, predictor, every=steps(config), samples=taken_at, progress=progress
     )
     if finite:
@@ -121,13 +121,13 @@ def starts(seed: int, config: Generate, plant: Plant, chunk: range) -> tuple[np.
     regular, drawn = config.rollouts - config.explorers, []
     for r in chunk:
         rng = randomness.generator(seed, "rollout", r)
-        D, D_hat = config.explore_D, config.explore_D_hat0
+        D, D_hat = config.explore_D, config.explore_D_hat
         if r < regular:
             D = config.D if isinstance(config.D, tuple) else (config.D, config.D)
-            D_hat = config.D_hat0[r * len(config.D_hat0) // regular]
-        X0, D0, D_hat0 = rng.uniform(low, high), rng.uniform(*D), rng.uniform(*D_hat)
+            D_hat = config.D_hat[r * len(config.D_hat) // regular]
+        X0, D0, first = rng.uniform(low, high), rng.uniform(*D), rng.uniform(*D_hat)
         taken = np.sort(rng.choice(steps(config), samples(config, r), replace=False))
-        drawn.append((X0, D0, D_hat0, np.pad(taken, (0, samples(config, 0) - len(taken)), mode="edge")))
+        drawn.append((X0, D0, first, np.pad(taken, (0, samples(config, 0) - len(taken)), mode="edge")))
     return tuple(np.array(column) for column in zip(*drawn, strict=True))
 
 
@@ -140,7 +140,7 @@ def redrawn(
         if config.redraw and r < config.rollouts and r not in kept:
             rng = randomness.generator(seed, "redraw", r)
             chosen = rng.random(len(D_hat[k])) < config.redraw
-            D_hat[k, chosen] = rng.uniform(*config.explore_D_hat0, chosen.sum())
+            D_hat[k, chosen] = rng.uniform(*config.explore_D_hat, chosen.sum())
             if config.spread:
                 (aside, push), rows = spread(rng, config, X[k], u[k]), chosen[:, None]
                 X[k] += rows * aside

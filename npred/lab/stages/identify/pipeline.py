@@ -93,17 +93,17 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     boxes = {name: result.ranges[name] for name in plant.states if name not in plant.box and name in result.ranges}
     ranges = plant.box | ({} if plant.declares_output else boxes)
     measured = [name for name in plant.outputs if name in result.ranges]
-    loop: dict[str, Any] = {"D": D, "bounds": [low, high], "dt": dt, "t_end": t_end}
-    loop |= {"adaptation": "delay-observer" if observed else "frozen", "actuator": "history"}
+    loop: dict[str, Any] = {"D": D, "dt": dt, "t_end": t_end, "actuator": "history"}
+    loop |= {"adaptation": "delay-observer", "bounds": [low, high]} if observed else {"adaptation": "frozen"}
     loop |= {"measurement": {"period": period}} if k > 1 else {}
     if plant.declares_output or len(measured) < plant.n:
         loop |= {"observer": {"kind": "ekf"} | ({} if plant.declares_output else {"outputs": measured})}
     start = [ranges[s][0] + START * (ranges[s][1] - ranges[s][0]) if s in ranges else float(x)
              for s, x in zip(plant.states, plant.guess, strict=True)]  # fmt: skip
     whole = [low, high] if D_hat < D else D
-    generate = loop | {"D": whole, "D_hat0": [[low, high]]} | ({"nx": 100 * finer + 1} if finer > 1 else {})
+    generate = loop | {"D": whole, "D_hat": [[low, high]]} | ({"nx": 100 * finer + 1} if finer > 1 else {})
     generate |= {"box": boxes} if ranges.keys() > plant.box.keys() else {}
-    evaluate = loop | {"D_hat0": D_hat, "case_D_hat0": sorted({low, D_hat, high}), "case_t_end": t_end, "X0": start}
+    evaluate = loop | {"D_hat": D_hat, "case_D_hat": sorted({low, D_hat, high}), "case_t_end": t_end, "X0": start}
     evaluate |= {"nx": 50 * finer + 1} if finer > 1 else {}
     plant_file = {"plant": asked.plant, "kappa": law or None}
     here = map_paths(plant_file, lambda file: file if Path(file).is_absolute() else relpath(file, path.parent))

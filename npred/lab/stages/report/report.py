@@ -185,7 +185,7 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
             sensors.append(f"{key} {' / '.join(numbers)}\N{NO-BREAK SPACE}{unit}".rstrip())
     if sensors:
         yield f"measurements with {', '.join(sensors)}"
-    if config.truth or config.disturbance.amplitude:
+    if config.truth or config.truth_scale != 1 or config.disturbance.amplitude:
         yield "the simulated plant is not the controller's model"
 
 

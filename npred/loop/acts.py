@@ -1,0 +1,151 @@
+"""Where the parts of a loop act: what each field of npred.Loop may be, and what it needs.
+
+A part that is given where it cannot act is refused, whichever way the loop is made.
+"""
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from npred.base import array_checks
+from npred.base.errors import ConfigError, unlisted
+from npred.estimation.delay_law import DelayLaw
+from npred.estimation.observers import Observer
+from npred.loop.measurement import Measurement
+from npred.loop.safety import SafetyFilter
+from npred.loop.timing import Timing
+from npred.loop.watchdog import Watchdog
+from npred.plants import inputs
+from npred.plants.base import Plant
+from npred.prediction.methods import Predictor
+
+if TYPE_CHECKING:
+    from npred.loop.loop import Loop
+
+MEASURED, HISTORY = "measured", "history"
+
+
+KINDS = {  # by field: the kind of a part, in words, and the cure
+    "plant": (Plant, "a Plant", "make one with npred.plant"),
+    "predictor": (Predictor, "a Predictor", "make one with npred.predictor or npred.load"),
+    "adaptation": (
+        DelayLaw, "a DelayLaw",
+        "make one, as npred.DelayObserver(bounds=(0.1, 4.0)), name one, or give None, which freezes D_hat",
+    ),
+    "measurement": (Measurement, "an npred.Measurement", "make one"),
+    "safety": (SafetyFilter, "npred.SafetyFilter", "make one"),
+    "observer": (Observer, "one of npred.observers", "make one"),
+    "watchdog": (Watchdog, "npred.Watchdog", "make one"),
+    "timing": (Timing, "an npred.Timing", "make one"),
+    "truth": (Plant, "a plant", "make one with npred.plant"),
+    "disturbance": (Callable, "a function of t", "write lambda t: [0.1]"),
+    "setpoints": (Mapping, "{parameter: (times, values)}", 'write {"aim": ([0.0, 5.0], [1.0, 2.0])}, say'),
+}  # fmt: skip
+ABOVE, FROM = (lambda value: 0 < value < math.inf), (lambda value: 0 <= value < math.inf)
+NUMBERS = {  # by field: the range of a number, in words, and the cure
+    "dt": (ABOVE, "a control step above 0", "give a time"),
+    "outlier_limit": (ABOVE, "a number above 0, or None for no limit", "1 is the default"),
+    "max_sample_age": (FROM, "how old a sample may be, at least 0", "give a time"),
+    "history_length": (ABOVE, "a time above 0", "leave it out for the largest D_hat"),
+}
+
+
+class Need(NamedTuple):
+    """What a part needs to act: whether a loop has it; in words; what came in its place, and how to get it."""
+
+    has: Callable[[Any], Any]
+    words: str
+    came: Callable[[Any], Any]
+    cure: str = ""
+    whole: bool = False  # whether it asks what a pipeline's table, which names no plant, does not have
+
+
+COMMANDS = Need(lambda of: of.actuator == HISTORY, f'actuator="{HISTORY}"', lambda of: repr(of.actuator), "give it")
+FEEDBACK = Need(lambda of: of.predictor is not None, "a predictor", lambda of: "None, the open loop", "give one")
+SEEN = FEEDBACK._replace(has=lambda of: of.predictor is not None or of.measurement.observer is not None)
+SIMULATED = Need(lambda of: not of.alone, "a simulated loop", lambda of: "a controller alone")
+ALONE = Need(lambda of: of.alone, "a controller alone", lambda of: "a simulated loop", "take npred.controller")
+UNDECLARED = Need(
+    lambda of: not of.plant.declares_delay, "a plant that does not declare its delay", lambda of: of.plant.name,
+    whole=True,
+)  # fmt: skip
+SERVED = UNDECLARED._replace(has=lambda of: of.alone or not of.plant.declares_delay)
+ESTIMATED = UNDECLARED._replace(has=lambda of: not of.plant.declares_delay or of.blind, cure="give 0 for no prediction")
+CLOCK = Need(
+    lambda of: of.alone or of.on_a_clock, "timing, an observer or a watchdog", lambda of: "none of them", "give one"
+)
+LATE = Need(
+    lambda of: of.alone or of.measurement.period or of.measurement.delay, "samples that may come late",
+    lambda of: "those of each control step, at once", "give the measurement a period or a delay",
+)  # fmt: skip
+KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
+DELAYED = Need(lambda of: of.alone or of.delayed, "a delay", lambda of: "D = 0", "give D above 0", whole=True)
+FILTERED = COMMANDS._replace(has=lambda of: of.actuator == HISTORY or not (of.alone or of.safety.delay))
+COMPILED = Need(
+    lambda of: of.measurement.observer is None or not of.on_a_clock, "no observer in Python on a clock",
+    lambda of: "one", "give the loop an observer of npred.observers", whole=True,
+)  # fmt: skip
+
+NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always act
+    "plant": (), "predictor": (), "dt": (), "X0": (),
+    "D": (SIMULATED, UNDECLARED),
+    "D_hat": (ESTIMATED,),
+    "adaptation": (FEEDBACK, UNDECLARED),
+    "input_bounds": (FEEDBACK,),
+    "u0": (KEPT, DELAYED),
+    "observer": (FEEDBACK, SERVED, COMMANDS),
+    "watchdog": (FEEDBACK, SERVED, COMMANDS),
+    "safety": (FEEDBACK, FILTERED),
+    "outlier_limit": (FEEDBACK, COMMANDS),
+    "max_sample_age": (FEEDBACK, COMMANDS, LATE, CLOCK),
+    "history_length": (ALONE, KEPT),
+    "measurement": (SIMULATED, SEEN, COMPILED),
+    "truth": (SIMULATED,),
+    "disturbance": (SIMULATED,),
+    "setpoints": (SIMULATED, FEEDBACK),
+    "timing": (SIMULATED, FEEDBACK, SERVED, COMMANDS),
+    "integrator": (SIMULATED,),
+    "actuator": (FEEDBACK,),
+}  # fmt: skip
+
+
+def refuse(of: Any, given: Collection[str], whole: bool = True) -> None:
+    """Raise ConfigError where one of the parts that are given cannot act in a loop, or in a pipeline's table of one."""
+    for name, needs in NEEDS.items():
+        for need in needs if name in given else ():
+            if (whole or not need.whole) and not need.has(of):
+                cure = f"{need.cure}, or no {name}" if need.cure else f"leave {name} out"
+                raise ConfigError(f"{name}: expected {need.words}, got {need.came(of)}; {cure}")
+
+
+def check(loop: "Loop") -> None:
+    """Raise ConfigError for a part of the wrong kind, out of range, made for another plant, or that cannot act."""
+    plant, truth = loop.plant, loop.truth
+    for name, (kind, expected, cure) in KINDS.items():
+        value = getattr(loop, name)
+        if not isinstance(value, kind) and (value is not None or name in ("plant", "measurement")):
+            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {cure}")
+    for name, (fits, expected, cure) in NUMBERS.items():
+        value = getattr(loop, name)
+        if value is not None and not fits(array_checks.number(name, value)):
+            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {cure}")
+    for name in ("D", "D_hat"):
+        value = getattr(loop, name)
+        if value is None and not (loop.alone or plant.declares_delay):
+            raise ConfigError(f"{name}: expected a delay in {plant.time_unit}, got none; give {name}")
+        if value is not None and not callable(value):
+            array_checks.delays(name, array_checks.floats(name, value))
+    if loop.actuator not in (MEASURED, HISTORY):
+        raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
+    refuse(loop, loop.given)
+    for name, part in loop.parts:
+        plant.own(name, part)
+    for part in filter(None, (loop.adaptation, loop.safety)):
+        part.check(plant)
+    inputs.bounds(plant, loop.input_bounds)
+    loop.measurement.check(plant, loop.observer and len(loop.observer.outputs))
+    if truth is not None and (truth.n, truth.m) != (plant.n, plant.m):
+        what = f"expected a plant with {plant.n} states and {plant.m} inputs"
+        raise ConfigError(f"truth: {what}, got {truth!r}; give one")
+    if truth is not None and truth.declares_delay != plant.declares_delay:
+        raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
