@@ -122,7 +122,7 @@ assert table(predictor="ralston").predictor in get_args(Method) == tuple(METHODS
     "part of a loop": (
         {
             "npred/loop/loop.py": {
-                "    timing: Timing | None = None  #:": "    load: float = 0.0  #: added to the plant's inputs\n",
+                "    timing: Timing | None = None\n": "    load: float = 0.0  #: added to the plant's inputs\n",
                 "    timing: Timing | None\n": "    load: float\n",
             },
             "npred/loop/simulation.py": {
