@@ -29,18 +29,27 @@ def room(parts: Sequence[str]) -> str:
 
 
 @cache
+def imported(text: str) -> list[tuple[int, str]]:
+    """Line and dotted name of all that is imported, inside functions too."""
+    nodes = list(ast.walk(ast.parse(text)))
+    names = [(node.lineno, a.name) for node in nodes if isinstance(node, ast.Import) for a in node.names]
+    froms = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    return names + [(node.lineno, f"{node.module}.{a.name}") for node in froms for a in node.names]
+
+
 def imports(text: str) -> list[tuple[int, str]]:
-    """Line and room of each import from this package, those inside functions included."""
-    places = []
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Import):
-            names = [a.name for a in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{a.name}" for a in node.names]
-        else:
-            continue
-        places += [(node.lineno, room([*name.split(".")[1:], "x"])) for name in names if name.startswith("npred.")]
-    return places
+    """Line and room of each import from this package."""
+    found = [(line, name.split(".")) for line, name in imported(text)]
+    return [(line, room([*parts[1:], "x"])) for line, parts in found if parts[0] == "npred" and len(parts) > 1]
+
+
+def circles(modules: Mapping[str, str]) -> list[str]:
+    """The modules, texts by dotted names, that import themselves through others."""
+    there = {name: [each for _, each in imported(text)] for name, text in modules.items()}
+    arrows = {name: {each if each in modules else each.rpartition(".")[0] for each in there[name]} for name in modules}
+    for middle in modules:  # all that is reached through the modules so far
+        arrows = {name: far | arrows[middle] if middle in far else far for name, far in arrows.items()}
+    return sorted(name for name, far in arrows.items() if name in far)
 
 
 def across(modules: Mapping[str, str]) -> list[tuple[str, str, str]]:
@@ -75,6 +84,19 @@ def test_the_library_imports_nothing_of_the_application():
 def test_no_stage_knows_the_store():
     places = between(MODULES, "lab/stages", "lab/store")
     assert not places, "\n".join(places)
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    packages = [ROOT, *ROOT.parent.glob("siblings/*")]
+    paths = {path.relative_to(top.parent): path for top in packages for path in top.rglob("*.py")}
+    names = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): file for path, file in paths.items()}
+    assert len(names) > 250 and circles({name: file.read_text() for name, file in names.items()}) == []
+
+
+def test_a_circle_is_found_also_inside_functions():
+    a, b = "def f():\n    from p.b import g\n", "import p.c\nimport p.d"
+    c, d = "from p import a\n", "import sys"
+    assert circles({"p.a": a, "p.b": b, "p.c": c, "p.d": d, "p": "from p import c"}) == ["p.a", "p.b", "p.c"]
 
 
 def test_npred_does_not_know_its_siblings():

@@ -15,7 +15,7 @@ from jobs import tables
 import npred
 from npred.base.errors import ConfigError
 from npred.lab.config.results import Evaluated, PredictorId
-from npred.lab.scheduler import runs
+from npred.lab.scheduler import sources
 from npred.lab.scheduler.plan import Planner, nodes
 from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
@@ -34,20 +34,20 @@ def small(tmp_path: Path) -> Path:
 
 
 def test_a_plant_has_the_defaults_and_settings_change_them():
-    made = runs.resolved(npred.plant("scalar", a=0.25), {"generate.samples": np.int64(900), "train.models": ["fno"]})
+    made = sources.resolved(npred.plant("scalar", a=0.25), {"generate.samples": np.int64(900), "train.models": ["fno"]})
     assert (made.plant, made.parameters["a"]) == ("scalar", 0.25)
     assert (made.generate.samples, made.train.models) == (900, ["fno"])
 
 
 def test_a_name_is_a_pipelines_before_a_plants(small: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(small.parent)
-    assert runs.resolved("scalar").generate.samples == 40000  # as npred generate scalar has it
-    assert runs.resolved("planar_arm2").plant == "planar_arm2"
-    assert runs.resolved("small.toml") == runs.resolved(small) == runs.resolved(runs.resolved(small))
+    assert sources.resolved("scalar").generate.samples == 40000  # as npred generate scalar has it
+    assert sources.resolved("planar_arm2").plant == "planar_arm2"
+    assert sources.resolved("small.toml") == sources.resolved(small) == sources.resolved(sources.resolved(small))
 
 
 def test_a_plants_file_is_the_plant(tank_file: Any):
-    assert runs.resolved(tank_file()).plant == tank_file()
+    assert sources.resolved(tank_file()).plant == tank_file()
 
 
 @pytest.mark.parametrize(("source", "settings", "message"), [
@@ -58,7 +58,7 @@ def test_a_plants_file_is_the_plant(tank_file: Any):
 ])  # fmt: skip
 def test_what_there_is_none_of_is_said_in_a_line(source: str, settings: dict[str, Any], message: str):
     with pytest.raises(ConfigError, match=message) as caught:
-        runs.resolved(source, settings)
+        sources.resolved(source, settings)
     assert "\n" not in str(caught.value)
 
 
@@ -85,7 +85,7 @@ def test_stages_from_python_are_those_of_the_command_line(small: Path, capsys: p
     assert data.data.X.shape == (data.result.samples, 2)
     assert trained.network([0.03, 30.0], np.zeros((21, 1)), 1.0).shape == (21, 2)
     assert PredictorId("deeponet", None) in found.result.models
-    made = runs.resolved(small)
+    made = sources.resolved(small)
     steps = Planner(made, Store(store), "cpu").plan(nodes(made, ["evaluate"]))
     assert [step.key for step in steps] == [data.key, trained.key, found.key]
     assert npred.evaluate(small, store=store, jobs=1).action == "hit"

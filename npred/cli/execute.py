@@ -64,11 +64,11 @@ def bench(
         return
     from npred import plants
     from npred.lab import config
-    from npred.lab.scheduler import runs
+    from npred.lab.scheduler import sources
     from npred.lab.stages.bench import without_networks
 
     source = options.pipeline_name or options.pipeline
-    table = runs.table(source)
+    table = sources.table(source)
     for text in options.set or []:
         config.override(table, text)
     pipeline = config.parse(table, str(source))

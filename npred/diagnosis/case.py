@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -13,10 +13,6 @@ from npred.base.registry import WITHOUT_V
 from npred.plants import inputs, speed
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
-
-if TYPE_CHECKING:
-    from npred.diagnosis.adaptive_loop import AdaptiveLoops
-    from npred.diagnosis.loops import Ensemble
 
 Verdict = tuple[Literal["yes", "warn", "no"], str] | tuple[Literal["yes", "warn", "no"], str, dict[str, Any]]
 SHOWN = 3  # states in a sentence, at most
@@ -55,7 +51,7 @@ class PlannedExperiment:
     laws: Collection[str]
     seconds: float
     D: float | None = None
-    adaptive: "Callable[[Case], AdaptiveLoops] | None" = None
+    adaptive: "Callable[[Case], Any] | None" = None  # npred.diagnosis.adaptive_loop.AdaptiveLoops
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ class Case:
     u0: Any = None
     experiment: PlannedExperiment | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
-    ensembles: "dict[float, Ensemble]" = field(default_factory=dict)
+    ensembles: dict[float, Any] = field(default_factory=dict)  # npred.diagnosis.loops.Ensemble
 
     def ask(self, question: Check) -> Answer | None:
         """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""

@@ -1,18 +1,15 @@
-"""Views of closed loops: a summary in text, a plot, a data frame."""
+"""Views of closed loops (npred.loop.trajectories.Trajectories): a summary in text, a plot, a data frame."""
 
 import io
 from collections.abc import Iterator, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from npred.base import array_checks, notebook
 from npred.base.errors import ConfigError, MissingError, unlisted
 from npred.plants import notation
-
-if TYPE_CHECKING:
-    from npred.loop.trajectories import Trajectories
 
 DRAWN = 20  # loops, at most, in a notebook without a call
 SIGNALS = ("X", "U", "D_hat")
@@ -21,7 +18,7 @@ LETTER, LINE = 0.6, 4.5  # of a legend: a letter, and a line with its gaps, as s
 KEPT, LOST = "kept", "lost"  # the group of a loop's lines
 
 
-def summary(loops: "Trajectories") -> str:
+def summary(loops: Any) -> str:
     """The numbers of loops and times, then a line per series: its range over all times, and its end."""
     count, shape = loops.escaped.size, loops.escaped.shape
     batch = ("1 loop" if not shape else f"{count} loops") + (f" {shape}" if len(shape) > 1 else "")
@@ -42,13 +39,13 @@ def summary(loops: "Trajectories") -> str:
     return "\n".join(lines)
 
 
-def _uncertain(loops: "Trajectories") -> str:
+def _uncertain(loops: Any) -> str:
     """How far the last D_hat may be off, in words; empty where no observer says it."""
     spread = loops.D_hat_spread[np.isfinite(loops.D_hat_spread)]
     return f" ± {_span(spread)}" if spread.size else ""
 
 
-def at_bound(loops: "Trajectories") -> str:
+def at_bound(loops: Any) -> str:
     """The number of loops whose D_hat ended at a bound of its law, in words; empty where none did."""
     low, high = loops.ends or (-np.inf, np.inf)
     last = loops.D_hat[..., -1]
@@ -57,7 +54,7 @@ def at_bound(loops: "Trajectories") -> str:
     return f"D_hat ended at its bound {which}and the delay may lie outside; widen bounds" if count else ""
 
 
-def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
+def infeasible(loops: Any) -> tuple[str, str] | None:
     """Where commands would overtake each other first, and 1 - D_X f - D_t there, in words; None where they never do."""
     steps = loops.infeasible.reshape(-1)
     if not (marked := np.flatnonzero(steps >= 0)).size:
@@ -70,7 +67,7 @@ def infeasible(loops: "Trajectories") -> tuple[str, str] | None:
 
 
 def plot(
-    loops: "Trajectories", D: Any = None, ax: Any = None, label: str | None = None,
+    loops: Any, D: Any = None, ax: Any = None, label: str | None = None,
     signals: Sequence[str] = SIGNALS, size: str | tuple[float, float] | None = None,
 ) -> np.ndarray:  # fmt: skip
     """A panel for each series of `signals`, all loops in each; the axes. D adds the true delay.
@@ -123,7 +120,7 @@ def plot(
     return axes
 
 
-def _chosen(loops: "Trajectories", signals: Sequence[str]) -> dict[str, np.ndarray]:
+def _chosen(loops: Any, signals: Sequence[str]) -> dict[str, np.ndarray]:
     """The series that are a signal of these, or of its letter X or U, in the order of the signals."""
     every, chosen = dict(series(loops)), dict[str, np.ndarray]()
     names = [*every]
@@ -137,7 +134,7 @@ def _chosen(loops: "Trajectories", signals: Sequence[str]) -> dict[str, np.ndarr
     return chosen
 
 
-def _label(loops: "Trajectories", name: str) -> str:
+def _label(loops: Any, name: str) -> str:
     """A series as matplotlib sets it: its label, or its name in letters, and its unit."""
     declared = name.removeprefix("X.").removeprefix("U.")
     if name == "D_hat":
@@ -146,7 +143,7 @@ def _label(loops: "Trajectories", name: str) -> str:
     return notation.mathematics(notation.with_unit(text, (loops.units or {}).get(declared, "")))
 
 
-def _lost(loops: "Trajectories") -> np.ndarray:
+def _lost(loops: Any) -> np.ndarray:
     """Which loops run away, (count,): they leave the numbers, or the last tenth is still beyond all before it."""
     X = np.abs(loops.X.reshape(-1, *loops.X.shape[-2:]))
     last = max(int((1 - TAIL) * X.shape[1]), 1)
@@ -185,7 +182,7 @@ def around(series: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> tuple[
     return low - room, high + room
 
 
-def html(loops: "Trajectories") -> str:
+def html(loops: Any) -> str:
     """The summary and the plot, as a notebook shows them; no plot of more than DRAWN loops."""
     text = notebook.preformatted(summary(loops))
     if loops.escaped.size > DRAWN:
@@ -216,7 +213,7 @@ def _size(panels: int, size: str | tuple[float, float] | None = None) -> tuple[f
     raise ConfigError(f'size: expected "article", or width and height in inches, got {size!r}; as (7, 4)')
 
 
-def dataframe(loops: "Trajectories") -> Any:
+def dataframe(loops: Any) -> Any:
     """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
 
     Raises MissingError without pandas.
@@ -239,7 +236,7 @@ def pandas() -> Any:
         raise MissingError("to_dataframe: expected the package pandas, found none; pip install pandas") from None
 
 
-def series(loops: "Trajectories") -> Iterator[tuple[str, np.ndarray]]:
+def series(loops: Any) -> Iterator[tuple[str, np.ndarray]]:
     """Name and values (..., nt) of each state, each input and D_hat.
 
     Without names they are X1, X2, …, U1, …; a name that stands twice, or is D_hat, gets its letter in front.

@@ -1,5 +1,6 @@
 """Plants by name or from a user's file."""
 
+import copyreg
 import importlib
 import inspect
 import pkgutil
@@ -103,6 +104,19 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
 def varied(plant: Plant, parameters: Values) -> Plant:
     """The plant with some of its parameters changed. Raises ConfigError for one that it does not have."""
     return type(plant)(plant.name, plant.declared, plant.parameters | dict(parameters), plant.source, plant.law)
+
+
+def _reduced(plant: Plant) -> tuple[Callable[..., Plant], tuple[object, ...]]:
+    """A plant is pickled by name or file where there is one, else with its class; derived parts are made again."""
+    parameters = tuple(plant.parameters.items())
+    if plant.spec is not None:
+        digest = plant.source and plant.source.sha256
+        return restored, (plant.spec, parameters, digest, plant.law, plant.delays)
+    return remade, (type(plant), plant.name, plant.declared, parameters, plant.law)
+
+
+for _kind in (Plant, BlackBox):
+    copyreg.pickle(_kind, _reduced)
 
 
 @lru_cache(maxsize=128)

@@ -70,16 +70,6 @@ class Plant(InNotebook):
         values = [f"{name} = {value:g}" for name, value in self.parameters.items()]
         return f"<{type(self).__name__} {self.name}: {'; '.join(parts + ([_few(values)] if values else []))}>"
 
-    def __reduce__(self) -> tuple[Callable[..., "Plant"], tuple[object, ...]]:
-        """Pickled by name or file where there is one, else with its class; derived parts are made again."""
-        from npred import plants
-
-        parameters = tuple(self.parameters.items())
-        if self.spec is not None:
-            digest = self.source and self.source.sha256
-            return plants.restored, (self.spec, parameters, digest, self.law, self.delays)
-        return plants.remade, (type(self), self.name, self.declared, parameters, self.law)
-
     def controlled(self, kappa: Callable[..., Any]) -> "Plant":
         """The plant with another law kappa(x, t, p, M), one of npred.laws say. Raises ConfigError for a black box."""
         if not self.traced:

@@ -27,7 +27,8 @@ from npred_experiments.experiment import (
     networks,
     published_times,
 )
-from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import Called, NetworkLoop, Predict
 
 D, D_HAT, X0, DT, DX, NODES, STEPS = 1.0, 2.0, (0.03, 30.0), 0.005, 0.01, 100, 20000
 OTHERS, COARSE = 300, 0.02  # runs to learn from, and their step

@@ -24,7 +24,8 @@ from npred_experiments.experiment import (
     networks,
     published_times,
 )
-from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import Called, NetworkLoop, Predict
 
 D_HAT, X0, DT, DX, NODES, STEPS = 1.8, (2.0, 2.0), 0.005, 0.01, 100, 5000
 OTHERS = 200  # runs to learn from

@@ -21,7 +21,8 @@ from npred_experiments.experiment import (
     networks,
     published_times,
 )
-from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import NetworkLoop, Predict
 from npred_robots import denavit_hartenberg, rigid_body
 
 RUNS, SAMPLES, DT, LATE = 25, 100, 0.1, 5

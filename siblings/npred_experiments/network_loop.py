@@ -1,7 +1,7 @@
 """A loop that asks any predictor, so that a network may replace it, and the calls that the network learns from."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ from npred.base import randomness
 from npred.lab.config import Anchor
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
-from npred_experiments.experiment import Place, TrainedForLoop
 
 SEED = 2025  # gives other rollouts than the published ones, which come from other generators
 
@@ -60,24 +59,6 @@ class NetworkLoop:
     anchor: Anchor = "initial"
     rounds: int = 0
     quadratic: bool = False
-
-
-@dataclass(frozen=True)
-class LoopNetworks:
-    """Networks in the predictor's place: one is trained for each of the loops, as published and as it is meant.
-
-    `sizes` are keys of the networks' tables that differ from those of npred_experiments.learning.
-    """
-
-    loops: Mapping[str, NetworkLoop]
-    sizes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    def __call__(
-        self, experiment: str, network: str, place: Place
-    ) -> tuple[dict[str, dict[str, float]], list[TrainedForLoop]]:
-        from npred_experiments.learning import LoopTraining  # brings torch
-
-        return LoopTraining(experiment, network, place).run(self.loops, self.sizes.get(network, {}))
 
 
 class Recorder:

@@ -25,7 +25,8 @@ from npred_experiments.experiment import (
     PublishedNumber,
     PublishedTime,
 )
-from npred_experiments.network_loop import LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import NetworkLoop, Predict
 from npred_robots import rigid_body, xarm6
 from npred_robots.xarm6 import XArm6
 

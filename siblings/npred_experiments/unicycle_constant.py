@@ -20,7 +20,8 @@ from npred_experiments.experiment import (
     networks,
     published_times,
 )
-from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import Called, NetworkLoop, Predict
 from npred_experiments.pomet import Law
 
 RUNS, STEPS, NODES, DT = 25, 1000, 100, 0.01

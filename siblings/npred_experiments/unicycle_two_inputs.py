@@ -25,7 +25,8 @@ from npred_experiments.experiment import (
     networks,
     published_times,
 )
-from npred_experiments.network_loop import Called, LoopNetworks, NetworkLoop, Predict
+from npred_experiments.loop_networks import LoopNetworks
+from npred_experiments.network_loop import Called, NetworkLoop, Predict
 
 D1, D2, DT, STEPS, NODES, DX = 0.25, 0.6, 0.001, 10000, 101, 0.01
 OTHERS, EXPLORED = 60, 6000  # runs to learn from, and their steps

@@ -26,8 +26,8 @@ from npred.loop.loop import HISTORY
 from npred.plants import Plant
 from npred.prediction.methods import numerical
 from npred_rig import log, network, sides
-from npred_rig.command import Rigged
 from npred_rig.network import Channel
+from npred_rig.options import Rigged
 
 EVERY = 0.1  # s between two looks at the processes
 AHEAD = 0.1  # s from the agreement to the start

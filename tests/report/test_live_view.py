@@ -12,7 +12,7 @@ from rich.cells import cell_len
 from rich.console import Console as Rich
 
 from npred.base.progress import counted
-from npred.lab.report.terminal import live_view
+from npred.lab.report.terminal import notebook
 from npred.lab.report.terminal.console import EVERY, Bar, Console
 from npred.lab.report.terminal.live_view import LiveView
 
@@ -258,7 +258,7 @@ def outputs(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
 
 
 def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str, str]], capsys: Any):
-    console = live_view.NotebookConsole()
+    console = notebook.NotebookConsole()
     with console.watch("tank", ["generate"]):
         console.doing("generate", "compiling")
         console.note("generate: running")
@@ -272,14 +272,14 @@ def test_the_view_is_one_output_that_ends_with_the_stages(outputs: list[dict[str
 
 
 def test_a_warning_stands_below(outputs: list[dict[str, str]], capsys: Any):
-    live_view.NotebookConsole().warn("few samples")
+    notebook.NotebookConsole().warn("few samples")
     assert capsys.readouterr().err == "warning: few samples\n"
 
 
 def test_only_a_kernel_is_a_notebook(outputs: list[dict[str, str]], monkeypatch: pytest.MonkeyPatch):
-    assert live_view.is_notebook()
+    assert notebook.is_notebook()
     monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: None)
-    assert not live_view.is_notebook()
+    assert not notebook.is_notebook()
 
 
 def lines(total: int, unit: str, done: int = 0) -> tuple[Clock, list[str], Bar]:

@@ -15,7 +15,7 @@ from npred.lab.config import Training
 from npred.lab.config.results import PredictorId
 from npred.lab.scheduler.configuration import identity
 from npred.lab.scheduler.plan import Planner, nodes
-from npred.lab.scheduler.runs import resolved
+from npred.lab.scheduler.sources import resolved
 from npred.lab.store import Artifact, Store
 from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset

@@ -4,7 +4,6 @@ What they bring is in the store afterwards, and a second call takes it from ther
 show the live view of the command line, in a notebook one output below the cell that is updated in place.
 """
 
-import re
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -12,22 +11,19 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import numpy as np
-
-from npred import plants
-from npred.base import defaults, devices, registry
+from npred.base import defaults, devices
 from npred.base.errors import ConfigError, unlisted
 from npred.base.notebook import InNotebook
 from npred.base.progress import listener
-from npred.lab import config
 from npred.lab.config import Pipeline
 from npred.lab.config.results import Evaluated, Generated, Result, Trained
-from npred.lab.report.terminal import live_view
+from npred.lab.report.terminal import notebook
 from npred.lab.report.terminal.console import Console
-from npred.lab.scheduler import executors
+from npred.lab.scheduler import executors, sources
 from npred.lab.scheduler.plan import STAGES, Planner, nodes
 from npred.lab.scheduler.retention import remember
 from npred.lab.scheduler.runner import Runner
+from npred.lab.scheduler.sources import Source
 from npred.lab.store import Store
 from npred.plants import Plant
 from npred.prediction.methods import Predictor
@@ -37,7 +33,6 @@ if TYPE_CHECKING:
 
 Kind = TypeVar("Kind", bound=Result)
 Found = TypeVar("Found", bound="StageResult[Any]")
-Source = Plant | str | Path | Pipeline
 
 
 @dataclass(frozen=True)
@@ -86,20 +81,6 @@ class TrainResult(StageResult[Trained]):
 
         name = self.result.model
         return loaded(Stored(self.folder, name, None, self.plant, self.pipeline.train.table(name)), nx, device, runtime)
-
-
-def resolved(source: Source, settings: Mapping[str, Any] = {}) -> Pipeline:
-    """The pipeline of a source, with some of its keys changed; see `generate`.
-
-    Raises ConfigError for what there is none of, for an unknown key and for a value out of range.
-    """
-    if not isinstance(settings, Mapping):
-        raise ConfigError(f"settings: expected keys and values, got {settings!r}; write {{'generate.samples': 2000}}")
-    chosen = table(source)
-    for key, value in settings.items():
-        plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-        config.put(chosen, key, plain, "settings: ")
-    return config.parse(chosen, str(source) if isinstance(source, str | Path) else str(chosen["name"]))
 
 
 def generate(
@@ -181,7 +162,7 @@ def train(
     StoreError
         For corrupt results.
     """
-    name = model or resolved(source, settings).train.models[0]
+    name = model or sources.resolved(source, settings).train.models[0]
     return run_stage(TrainResult, "train", source, settings, name, store, device, jobs, progress)
 
 
@@ -237,12 +218,12 @@ def run_stage(
 
     On a terminal a table shows the stages, in a notebook one output, elsewhere lines now and then.
     """
-    pipeline = resolved(source, settings)
+    pipeline = sources.resolved(source, settings)
     if model is not None and model not in pipeline.train.names:
         raise ConfigError(unlisted("model", model, pipeline.train.names))
     planner = Planner(pipeline, Store(Path(store) if store else defaults.store()), devices.resolve(device))
     needed, jobs = nodes(pipeline, [stage], model), jobs or devices.cores()
-    shown: Callable[[], Console] = live_view.NotebookConsole if live_view.is_notebook() else Console
+    shown: Callable[[], Console] = notebook.NotebookConsole if notebook.is_notebook() else Console
     console = shown() if progress else Console(quiet=True)
     with ExitStack() as stack:
         stack.enter_context(listener(console.wait))
@@ -251,46 +232,9 @@ def run_stage(
         executor = stack.enter_context(executors.opened(executors.LOCAL, jobs))
         planner.store.adopt()
         outcomes = Runner(console, jobs, executor).run(planner, needed)
-    file = None if settings else _file(source)  # with settings it does not ask for the results
+    file = None if settings else sources.file(source)  # with settings it does not ask for the results
     if file:  # so that npred gc keeps them
         remember(planner.store, file, {done.node.name: done.artifact.manifest.key for done in outcomes})
     done, artifact = outcomes[-1], outcomes[-1].artifact
     result = STAGES[stage].result.read(artifact.folder)
     return kind(result, artifact.folder, artifact.manifest.key, done.action, stage, planner.plant, pipeline)
-
-
-def table(source: Source) -> dict[str, Any]:
-    """The pipeline as a plain dictionary; that of a plant has the defaults."""
-    if isinstance(source, Plant):
-        if source.spec is None:
-            raise ConfigError(
-                f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
-                "write it to a file, and name that: my_plant.py:Tank"
-            )
-        if source.law and not source.law_table:
-            raise ConfigError(
-                f"plant {source.name}: expected a kappa by its name, by which results are kept, got a function; "
-                "write it to the plant's file"
-            )
-        law = {"kappa": dict(source.law_table)} if source.law_table else {}
-        name = re.sub(r"\W+", "_", source.name)
-        return {"name": name, "plant": source.spec, "parameters": dict(source.parameters)} | law
-    if not isinstance(source, str | Path | Pipeline):
-        raise ConfigError(
-            f"source: expected a pipeline or a plant, by name, file or as an object, got {source!r}; name one"
-        )
-    if isinstance(source, Pipeline):
-        return source.model_dump(exclude_unset=True)
-    if _file(source):
-        return config.table(defaults.pipeline(source))
-    if not registry.in_file(str(source)) and str(source) not in plants.names():
-        raise ConfigError(f"{defaults.missing(Path(source))}, nor a plant of that name; npred plants lists those")
-    return table(plants.resolve(str(source)))
-
-
-def _file(source: Source) -> Path | None:
-    """The pipeline file that a text names, as the command line takes it; None where it names a plant."""
-    if not isinstance(source, str | Path):
-        return None
-    path = defaults.pipeline(source)
-    return path if path.is_file() or path.suffix == ".toml" else None

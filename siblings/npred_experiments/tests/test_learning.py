@@ -9,7 +9,7 @@ import reproduced
 
 from npred.lab.report.terminal.console import Console
 from npred.networks.weights import read
-from npred_experiments import learning, network_loop
+from npred_experiments import learning, loop_networks, network_loop
 from npred_experiments.experiment import Place
 from npred_experiments.experiment import load as load_experiment
 from npred_experiments.regression import Quadratic
@@ -114,7 +114,7 @@ def test_the_loop_for_networks_gives_the_numerical_rows_with_the_numerical_predi
     """So what a network's row differs by is the network's."""
     experiment = load_experiment(name)
     rows = {metric: getattr(values, loop.replace(" ", "_")) for metric, values in experiment.measure().items()}
-    assert isinstance(experiment.train, network_loop.LoopNetworks)
+    assert isinstance(experiment.train, loop_networks.LoopNetworks)
     of_networks = experiment.train.loops[loop]
     measured = of_networks.measure(of_networks.numerical())
     for metric, value in measured.items():

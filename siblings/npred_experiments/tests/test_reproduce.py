@@ -16,7 +16,7 @@ from npred.base import registry
 from npred.cli import app
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import Experiment, Measured, PublishedNumber, networks
-from npred_experiments.network_loop import LoopNetworks
+from npred_experiments.loop_networks import LoopNetworks
 
 CALLS: list[str] = []
 

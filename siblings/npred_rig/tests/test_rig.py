@@ -18,8 +18,8 @@ import npred
 from npred.cli import app
 from npred.guard.guarded import Guarded
 from npred_rig import rig
-from npred_rig.command import Rigged
 from npred_rig.network import Channel
+from npred_rig.options import Rigged
 
 PIPELINE = """
 name = "short"

@@ -1,7 +1,4 @@
-"""The live view of a run: each stage, its work, for how long and how far.
-
-A terminal rewrites it; in a notebook it is one output below the cell, which is updated in place and stays as it ends.
-"""
+"""The live view of a run, which a terminal rewrites: each stage, its work, for how long and how far."""
 
 import math
 import sys
@@ -9,8 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from io import StringIO
-from typing import Any, Literal
+from typing import Literal
 
 from rich.console import Console as RichConsole
 from rich.console import ConsoleOptions, RenderableType, RenderResult
@@ -19,18 +15,14 @@ from rich.table import Column
 from rich.text import Text
 
 from npred.base.json_files import escaped
-from npred.lab.report.terminal.console import Console
-from npred.lab.report.terminal.streams import MESSAGES, is_terminal, printable
+from npred.lab.report.terminal.streams import MESSAGES, is_terminal
 
 MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
-SECONDS = 0.5  # between two updates in a notebook
-WIDTH = 110  # columns there
 ECHO = (
     4  # columns left free at its right: the ^C that a terminal shows must not begin a line that the view does not know
 )
 BAR = 24  # columns of a bar
 BESIDE = 90  # columns that a training's name, words and times take: on a narrow screen the bar gives way first
-FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'
 
 
 class RunningBar(BarColumn):
@@ -149,52 +141,3 @@ class LiveView(Progress):
                 task.start_time, task.stop_time = self.get_time(), None
             self.update(task.id, mark=MARKS["running"])
         return task
-
-
-def is_notebook() -> bool:
-    """True where the code runs in a notebook's kernel."""
-    ipython = sys.modules.get("IPython")
-    shell = ipython.get_ipython() if ipython else None
-    return getattr(shell, "kernel", None) is not None
-
-
-class NotebookConsole(Console):
-    """A console whose live view is an output of a notebook. The view shows its notes; warnings stand below."""
-
-    @contextmanager
-    def watch(self, heading: str, titles: Sequence[str]) -> Iterator[None]:
-        """A live view of these stages while the block runs, its last state after it."""
-        from IPython.display import display  # pyright: ignore[reportMissingImports]
-
-        view = self.view = LiveView(heading, titles, self.clock, WIDTH)
-        output: Any = display(_bundle(view), raw=True, display_id=True)
-        over = threading.Event()
-
-        def paint() -> None:
-            while not over.wait(SECONDS):
-                output.update(_bundle(view), raw=True)
-
-        painter = threading.Thread(target=paint, daemon=True)
-        painter.start()
-        try:
-            yield
-        finally:
-            over.set()
-            painter.join()
-            view.end()
-            output.update(_bundle(view), raw=True)
-            self.view = None
-
-    def _line(self, text: str, style: str = "", shown: bool = True) -> None:
-        self._logged(text)
-        if style:
-            MESSAGES.write(printable(text) + "\n")
-            MESSAGES.flush()
-
-
-def _bundle(view: LiveView) -> dict[str, str]:
-    """The view as HTML and as text, as a notebook's file keeps it."""
-    page = RichConsole(file=StringIO(), record=True, width=WIDTH, force_jupyter=False, force_terminal=True)
-    page.print(view.get_renderable())
-    text = page.export_text(clear=False)
-    return {"text/plain": text.rstrip(), "text/html": page.export_html(code_format=FORMAT, inline_styles=True)}
