@@ -44,13 +44,12 @@ def imports(text: str) -> list[tuple[int, str]]:
 
 
 def circles(modules: Mapping[str, str]) -> list[str]:
-    """The modules, texts by dotted names, that import each other in a circle, or stand between two circles."""
+    """The modules, texts by dotted names, that import themselves through others."""
     there = {name: [each for _, each in imported(text)] for name, text in modules.items()}
     arrows = {name: {each if each in modules else each.rpartition(".")[0] for each in there[name]} for name in modules}
-    left = set(arrows)
-    while ends := {n for n in left if not arrows[n] & left or not any(n in arrows[other] for other in left)}:
-        left -= ends
-    return sorted(left)
+    for middle in modules:  # all that is reached through the modules so far
+        arrows = {name: far | arrows[middle] if middle in far else far for name, far in arrows.items()}
+    return sorted(name for name, far in arrows.items() if name in far)
 
 
 def across(modules: Mapping[str, str]) -> list[tuple[str, str, str]]:
