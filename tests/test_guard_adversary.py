@@ -1,11 +1,10 @@
 """The adversary of benchmarks/guard_adversary.py: its reference, and that it finds a guard's blind spot."""
 
-import importlib.util
 from types import SimpleNamespace
 
+import guard_adversary as adversary
 import numpy as np
 import pytest
-from conftest import HERE
 from input_histories import means
 
 import npred
@@ -16,10 +15,6 @@ from npred.loop import metrics
 from npred.networks.domain import Domain
 from npred.prediction.methods import RK4
 
-SPEC = importlib.util.spec_from_file_location("guard_adversary", HERE.parent / "benchmarks" / "guard_adversary.py")
-assert SPEC is not None and SPEC.loader is not None
-adversary = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(adversary)
 PLANT, NX = npred.plant("activator_repressor"), 21
 BLIND = 1.2  # s: for a delay above it the guard sees nothing of the error
 TOLERANCE = 0.02
