@@ -22,12 +22,18 @@ def options(text: str | None, places: Mapping[str, Any] = {}, **named: Any) -> a
 
     `places` are arguments without a flag: `...` and a type are required, a list or a mapping stand for any number of
     words (of a mapping: of its keys), by default all. A flag has its default, or a type, and is None then; False is
-    switched on; a list takes several words, a mapping some of its keys; of a tuple of words one, the first by default.
+    switched on; a list takes several values, of the kind of its first, a mapping some of its keys; of a tuple of words
+    one is taken, by default the first.
     """
+
+    def kind(values: Any) -> Any:
+        first = values[0] if isinstance(values, list) and values else str
+        return first if isinstance(first, type) else type(first)
+
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, value in places.items():
         if isinstance(value, list | Mapping):
-            parser.add_argument(name, nargs="*", type=type(value[0]) if isinstance(value, list) and value else str)
+            parser.add_argument(name, nargs="*", type=kind(value))
         elif value is ... or isinstance(value, type):
             parser.add_argument(name, type=str if value is ... else value)
         else:
@@ -39,7 +45,7 @@ def options(text: str | None, places: Mapping[str, Any] = {}, **named: Any) -> a
         elif isinstance(value, Mapping):
             parser.add_argument(flag, nargs="+", choices=value, default=[*value], metavar="NAME")
         elif isinstance(value, list):
-            parser.add_argument(flag, nargs="*", default=value, type=type(value[0]) if value else str)
+            parser.add_argument(flag, nargs="*", default=[] if value[:1] == [kind(value)] else value, type=kind(value))
         elif isinstance(value, tuple):
             parser.add_argument(flag, choices=value, default=value[0])
         elif isinstance(value, type):

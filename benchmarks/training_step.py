@@ -49,9 +49,8 @@ def main() -> None:
         table = getattr(pipeline.train, name)
         plain = milliseconds(plant, table, None, NX)
         recipe = milliseconds(plant, table, REST_NODES, table.nodes)
-        print(
-            f"{name:10s}{table.batch:6d} rows   plain {plain:7.1f} ms   recipe {recipe:7.1f} ms   {plain / recipe:.1f}x"
-        )
+        times = f"plain {plain:7.1f} ms   recipe {recipe:7.1f} ms   {plain / recipe:.1f}x"
+        print(f"{name:10s}{table.batch:6d} rows   {times}")
 
 
 if __name__ == "__main__":
