@@ -26,8 +26,7 @@ def microseconds(plant: npred.plants.Plant, method: str, loops: int, steps: int,
     return min(harness.seconds(run)[0] for _ in range(3)) / steps / loops * 1e6
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     traced, called = npred.plant(Traced), npred.plant(Called)
     print("method  nodes  loops   traced    called   times")
     for method, adapts in (*((name, False) for name in METHODS), ("heun", True)):
@@ -36,7 +35,3 @@ def main() -> None:
             slow = microseconds(called, method, loops, max(20, 200 // loops), adapts)
             name, times = f"{method:7s} {METHODS[method]:5d} {loops:6d}", f"{slow / fast:6.0f}"
             print(f"{name} {fast:6.2f} us {slow:6.4g} us {times}{'  with the law for D_hat' * adapts}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

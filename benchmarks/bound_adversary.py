@@ -59,7 +59,7 @@ def search(
     return made, bounded, nearest
 
 
-def main() -> None:
+if __name__ == "__main__":
     options = harness.options(
         __doc__, {"model": harness.PAPER}, nx=51, calls=60_000, seed=1, states=("box", "data"), store=Path("artifacts")
     )
@@ -75,7 +75,3 @@ def main() -> None:
     found = made, bounded, f"{nearest[0, -1]:.9f}", f"{ratio.max():.9f}"
     harness.head(*HEAD)
     harness.row(f"`{Path(options.model).name}`, {options.nx}", options.states, *found)
-
-
-if __name__ == "__main__":
-    main()

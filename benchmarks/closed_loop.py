@@ -26,8 +26,7 @@ def row(name: str, predictor, plant) -> str:
     return f"{name:14s}{step:9.1f} us a step   radius {radius:.1e}   D_hat {done.D_hat[-1]:.4f}"
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     asked = harness.options(__doc__, {"model": harness.PAPER}, store=str)
     torch.set_num_threads(1)
     networks = {
@@ -36,7 +35,3 @@ def main() -> None:
     plant = networks["torch"].plant
     for name, predictor in {"rk4": npred.predictor(plant, "rk4", NX), **networks}.items():
         print(row(name, predictor, plant), flush=True)
-
-
-if __name__ == "__main__":
-    main()

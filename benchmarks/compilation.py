@@ -51,8 +51,7 @@ def seconds(plant: str, what: str, cache: str) -> tuple[float, float]:
     return whole, float(call)
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         arm = Path(folder, "six_joint.py")
         arm.write_text(URDF.format(path=str(harness.ROOT / "npred_robots" / "tests" / "six_joint.urdf")))
@@ -63,7 +62,3 @@ def main() -> None:
                 times = [f"{t:.2f}" for _ in ("cold", "warm") for t in seconds(plant, what, cache)]
                 rows.append([Path(plant).name, what, *times])
     print(columns(["plant", "first", "cold wall [s]", "cold call [s]", "warm wall [s]", "warm call [s]"], rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -76,7 +76,7 @@ def estimates(guard: Guarded, data) -> None:
     print(f"  estimate over true error, {near.sum()} calls: {quantiles}")
 
 
-def main() -> None:
+if __name__ == "__main__":
     arguments = harness.options(__doc__, {"model": ...}, store=Path, tolerance=0.01, nx=[101])
     stored = load_model(arguments.model, arguments.store)
     data = harness.samples(arguments.model, arguments.store).subset(test=True)
@@ -98,7 +98,3 @@ def main() -> None:
         for name, median in times.items():
             print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
         estimates(guard, data)
-
-
-if __name__ == "__main__":
-    main()

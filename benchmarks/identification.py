@@ -129,7 +129,7 @@ def table(tasks: list[tuple[str, int]], mapped: Mapped, each: bool) -> None:
                   f"{np.median(error):.2%}, 95 % below {np.quantile(error, 0.95):.1%}", flush=True)  # fmt: skip
 
 
-def main() -> None:
+if __name__ == "__main__":
     asked = harness.options(__doc__, {"what": COUNTS}, logs=1000, only=[int], each=False, jobs=1)
     tasks = {what: [(what, k) for k in asked.only or range(min(n, asked.logs))] for what, n in COUNTS.items()}
     with multiprocessing.Pool(asked.jobs) as pool:
@@ -137,7 +137,3 @@ def main() -> None:
         for what in (name for name in COUNTS if name in asked.what):
             print(f"\n## {what}", flush=True)
             table(tasks[what], mapped, asked.each)
-
-
-if __name__ == "__main__":
-    main()

@@ -95,7 +95,7 @@ def import_seconds(python: str, text: str, folder: Path) -> float:
     return statistics.median(float(output([python, "-c", program], folder)) for _ in range(REPEATS))
 
 
-def main() -> None:
+if __name__ == "__main__":
     options = harness.options(__doc__, extra=[], model="", store=Path("artifacts"), cached=False)
     path, colon, part = options.model.rpartition(":")
     model = f"{Path(path).absolute()}{colon}{part}" if path else options.model
@@ -118,7 +118,3 @@ def main() -> None:
     print(columns(head, rows, None, numbers=head[1:]))
     print("\nwhat works, as processes of their own (kernels compiled where the machine has none yet)\n")
     print(columns(["installation", "what", "time"], tasks, None, numbers=["time"]))
-
-
-if __name__ == "__main__":
-    main()

@@ -14,9 +14,7 @@ import npred
 from npred import diagnosis, plants
 from npred.diagnosis import Case
 
-
-def main() -> None:
-    """Print a line per plant and law, and how many converge from half the box."""
+if __name__ == "__main__":
     options = harness.options(__doc__, {"plants": plants.names()}, laws=["lqr", "feedback_linearisation"])
     names, kept = options.plants, dict.fromkeys(options.laws, 0)
     either = 0
@@ -32,7 +30,3 @@ def main() -> None:
     for law, count in kept.items():
         print(f"{law} converges from half the box, or more, for {count} of {len(names)} plants")
     print(f"one of these laws does for {either} of {len(names)}")
-
-
-if __name__ == "__main__":
-    main()

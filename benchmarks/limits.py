@@ -182,8 +182,7 @@ def optimal(case: Case, X: np.ndarray) -> np.ndarray:
     return np.array(keeps, dtype=bool)
 
 
-def main() -> None:
-    """Print a line per plant and kind of delay."""
+if __name__ == "__main__":
     every = cases()
     places = {"plants": [*every, "network"]}
     asked = harness.options(__doc__, places, loops=2000, seed=0, wrong=False, rival=False, store="artifacts")
@@ -195,7 +194,3 @@ def main() -> None:
             predictor = npred.guarded(predictor, TOLERANCE)
         rng = np.random.default_rng(asked.seed)
         print(report(case, asked.wrong, asked.loops, rng, predictor, asked.rival), flush=True)
-
-
-if __name__ == "__main__":
-    main()

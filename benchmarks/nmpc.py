@@ -300,7 +300,7 @@ def timed(task: Task, make: Callable[[], Step], X: np.ndarray, runs: int) -> tup
     return loop, [1e6 * np.min(times, axis=0) for times in (calls, own)]
 
 
-def main() -> None:
+if __name__ == "__main__":
     arguments = harness.options(__doc__, {"plants": TASKS}, starts=6, mismatch=1, runs=5)
     for plant in arguments.plants:
         task = TASKS[plant]
@@ -319,7 +319,3 @@ def main() -> None:
                 delays = survived(task, make, starts[: arguments.mismatch])
                 counts = f"{name:22} {sum(ends)} of {len(ends)}  cost {np.median(costs):6.3f}  beyond {most:.3f}"
                 print(f"  {counts}  {'; its own clock '.join(said)}  {delays}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

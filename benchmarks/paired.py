@@ -65,7 +65,7 @@ def rows(trees: list[Tree], rounds: int, only: str) -> Iterator[tuple[str, ...]]
         yield name, *times, f"{ratio:.2f}", f"{low:.2f} to {high:.2f}", "slower" if ratio > SLOWER else ""
 
 
-def main() -> None:
+if __name__ == "__main__":
     asked = harness.options(__doc__, {"base": "HEAD~1"}, rounds=15, only="")
     with harness.worktree(asked.base) as base:
         trees = [Tree(tree, base.with_name(name)) for tree, name in ((base, "before"), (harness.ROOT, "now"))]
@@ -74,7 +74,3 @@ def main() -> None:
             harness.row(*cells)
         for tree in trees:
             tree.process.kill()
-
-
-if __name__ == "__main__":
-    main()

@@ -192,7 +192,7 @@ def counted(truth: Truth, unit: str, exported: bool, setpoints: Iterable[Asked] 
     return total
 
 
-def main() -> None:
+if __name__ == "__main__":
     asked = options(__doc__, exported=1, plants=MODELS)
     print(f"{'plant':26} refused  taken    error  U apart")
     total = Counted()
@@ -205,7 +205,3 @@ def main() -> None:
     count = len(asked.plants) * len(UNITS)
     print(f"{'all':26} {total.refused:7} {total.taken:6} {total.error:8.1e} {total.apart:8.1e}")
     print(f"of {count * HELD} that can be held and {count * NOT_HELD} that cannot")
-
-
-if __name__ == "__main__":
-    main()

@@ -128,8 +128,7 @@ def row(path: Path) -> tuple[str, str]:
     return outcome, f"{plant.n // 2} joints, {plant.m} inputs, {worst:.0e}"
 
 
-def main() -> None:
-    """Print the table of a folder's files, each content once, and the totals."""
+if __name__ == "__main__":
     warnings.simplefilter("ignore")
     folder, totals = harness.options(__doc__, {"folder": Path}).folder, Counter[str]()
     paths = [path for path in folder.rglob("*") if path.suffix in (".urdf", ".xml") and path.is_file()]
@@ -140,7 +139,3 @@ def main() -> None:
             totals[outcome] += 1
             print(f"{path.relative_to(folder)!s:60}  {outcome}: {words}", flush=True)
     print(", ".join(f"{outcome} {count}" for outcome, count in totals.most_common()), f"of {totals.total()} files")
-
-
-if __name__ == "__main__":
-    main()

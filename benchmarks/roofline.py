@@ -123,13 +123,9 @@ def measured(net: npred.Predictor, nx: int) -> float:
     return timing.quantiles(taken["call"])["median_us"]
 
 
-def main() -> None:
+if __name__ == "__main__":
     arguments = harness.options(__doc__, {"models": []}, store=str, nx=[101])
     print(devices.hardware("cpu")["cpu"])
     for spec in arguments.models:
         for nx in arguments.nx:
             report(spec, arguments.store, nx)
-
-
-if __name__ == "__main__":
-    main()

@@ -152,14 +152,9 @@ def search(case: Case, seconds: float, seed: int) -> str:
     return f"{case.plant.name:9} loops {loops:5}, promised {inside:5}, least h / size {least:9.2e} at {z}"
 
 
-def main() -> None:
-    """Print a line per plant."""
+if __name__ == "__main__":
     asked = harness.options(__doc__, plant=SYSTEMS, seconds=60.0, seed=0, known=False)
     for name, case in cases().items():
         if name in asked.plant:
             case = replace(case, delay=0.0) if asked.known else case
             print(search(case, asked.seconds, asked.seed), flush=True)
-
-
-if __name__ == "__main__":
-    main()

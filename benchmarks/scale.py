@@ -133,8 +133,7 @@ def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
     write(Figure("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
 
 
-def main() -> None:
-    """Print a line a command as it ends, then the slopes; draw; judge the memory."""
+if __name__ == "__main__":
     places = {"samples": [float(size) for size in SIZES]}
     asked = harness.options(__doc__, places, folder=Path, jobs=2, figures=Path("docs/figures"))
     if sum(samples >= FIRST for samples in asked.samples) < 3:
@@ -159,7 +158,3 @@ def main() -> None:
     most = max(cost.resident for row in costs.values() for cost in row)
     print(f"memory: {most / 2**30:.2f} GiB at most, of {LIMIT / 2**30:.0f}")
     sys.exit(most > LIMIT)
-
-
-if __name__ == "__main__":
-    main()

@@ -134,7 +134,7 @@ def stepped(
     return Stepped(settled, steps, first.status.refused, refused, largest, apart / size)
 
 
-def main() -> None:
+if __name__ == "__main__":
     steps = harness.options(__doc__, steps=50).steps
     print(f"{'plant':12} settled  samples refused  set-points refused  ΔU / bound  C - Python  FMU - Python")
     for name, case in cases().items():
@@ -143,7 +143,3 @@ def main() -> None:
             c, f = (stepped(case, one := controller(case), [kind(one, Path(folder))], steps) for kind in kinds)
         counts = f"{name:12} {c.settled:2} of {c.of:2} {c.samples_refused:16} {c.refused:19} {c.share:11.3f}"
         print(f"{counts} {c.apart:11.1e} {f.apart:13.1e}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -106,8 +106,7 @@ def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     write(Figure("store", "The store", caption, (panel,), keys), folder, MEDIA["page"])
 
 
-def main() -> None:
-    """The table; with -o the figure."""
+if __name__ == "__main__":
     asked = harness.options(__doc__, most=10_000, folder=Path, output=Path)
     sizes = [size for size in (10, 100, 1000, 10_000, 100_000) if size <= asked.most]
     folder = Path(tempfile.mkdtemp(dir=asked.folder))
@@ -119,7 +118,3 @@ def main() -> None:
     print(columns(["processor seconds with", *map(str, sizes), "slope"], rows))
     if asked.output:
         draw(asked.output, sizes, times)
-
-
-if __name__ == "__main__":
-    main()

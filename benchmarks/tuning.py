@@ -59,14 +59,10 @@ def _silent(steps: int) -> None:
     pass
 
 
-def main() -> None:
+if __name__ == "__main__":
     asked = harness.options(__doc__, {"names": [*SETS]}, cells=12, evaluations=150, jobs=1)
     harness.head(*HEAD)
     with progress.quiet():
         for name in asked.names:
             for row in rows(name, asked.cells, asked.evaluations, asked.jobs):
                 harness.row(*row)
-
-
-if __name__ == "__main__":
-    main()

@@ -119,8 +119,7 @@ def row(name: str, data: Path, fast: bool) -> tuple[str, str]:
     return "| " + " | ".join(cells) + " |", below
 
 
-def main() -> None:
-    """The table, then the sentences."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("names", nargs="*")
@@ -137,7 +136,3 @@ def main() -> None:
             verdicts.append(line.split(" | ")[4])
     print("\n" + ", ".join(f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))) + "\n")
     print("\n\n".join(texts))
-
-
-if __name__ == "__main__":
-    main()
