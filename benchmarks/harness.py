@@ -12,6 +12,10 @@ from typing import Any
 
 import numpy as np
 
+import npred
+from npred.base.errors import ConfigError, DivergedError
+from npred.exports import c_controller, c_files, fmu
+
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = "pipeline/paper.toml:deeponet"
 SIZE = "unsigned long size(void);\nunsigned long size(void) { return sizeof(npred_controller); }\n"
@@ -87,8 +91,6 @@ def pipeline(model: str) -> Any:
 
 def network(asked: argparse.Namespace, nx: int | None = None) -> Any:
     """The trained network that `model` names, of `store`, fused, on nx nodes."""
-    import npred
-
     return npred.load(asked.model, nx=nx or asked.nx, store=asked.store, runtime="fused")
 
 
@@ -149,8 +151,6 @@ def evolve(
 
 def sources(controller: Any, folder: Path, **settings: Any) -> None:
     """Write the files of a controller in C."""
-    from npred.exports import c_controller
-
     for file, text in zip(("npred.h", "npred.c"), c_controller.sources(controller, **settings), strict=True):
         (folder / file).write_text(text)
 
@@ -188,8 +188,6 @@ class InC:
     """The same of the exported C."""
 
     def __init__(self, controller: Any, folder: Path) -> None:
-        from npred.exports import c_controller, c_files
-
         sources(controller, folder)
         (folder / "size.c").write_text(f'#include "npred.c"\n{SIZE}')
         c_files.build([folder / "size.c"], folder / "npred.so", "controller")
@@ -202,8 +200,6 @@ class InC:
         self.library.npred_init(self.memory)
 
     def set(self, **values: float) -> None:
-        from npred.base.errors import ConfigError
-
         wanted = self.values | values
         numbers = np.array([*wanted.values()])
         if self.library.npred_set_parameters(self.memory, numbers.ctypes.data_as(ctypes.c_void_p)):
@@ -211,8 +207,6 @@ class InC:
         self.values = wanted
 
     def step(self, X: np.ndarray) -> np.ndarray:
-        from npred.base.errors import DivergedError
-
         X, U = np.ascontiguousarray(X), np.zeros(self.m)
         if self.library.npred_step(self.memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in (X, U))):
             raise DivergedError("refused")
@@ -224,9 +218,6 @@ class InFmu:
 
     def __init__(self, controller: Any, folder: Path) -> None:
         import fmpy
-
-        import npred
-        from npred.exports import fmu
 
         path, self.dt, self.slave, self.messages = folder / "controller.fmu", controller.dt, None, []
         npred.export(controller, "fmu", path)
@@ -254,16 +245,12 @@ class InFmu:
     def set(self, **values: float) -> None:
         from fmpy.fmi1 import FMICallException
 
-        from npred.base.errors import ConfigError
-
         try:
             self.slave.setFloat64([self.places[f"parameter.{name}"] for name in values], [*values.values()])
         except FMICallException as error:
             raise ConfigError("refused") from error
 
     def step(self, X: np.ndarray) -> np.ndarray:
-        from npred.base.errors import DivergedError
-
         self.messages.clear()
         self.slave.setFloat64(self.X, X.tolist())
         self.slave.doStep(self.t, self.dt)
