@@ -6,10 +6,11 @@ Every row is an ordinary result of the store, so an interrupted study goes on, a
 goes to stdout as Markdown; docs/accuracy.md holds the last one.
 """
 
-import argparse
 import json
 import subprocess
 import sys
+
+import harness
 
 ROWS: dict[str, list[str]] = {
     "the recipe": [],
@@ -31,34 +32,18 @@ def evaluate(pipeline: str, store: str, changes: list[str]) -> dict:
     return json.loads(done.stdout)["result"]["models"]["deeponet"]
 
 
-def line(name: str, row: dict) -> str:
-    """The row as Markdown."""
-    radius = row["radius"]
-    numbers = [
-        row["mse"],
-        row["eps_sup"],
-        row["eps_kappa"],
-        row["eps_relative"]["median"],
-        radius["median"],
-        radius["worst"],
-    ]
-    cells = [name, *("∞" if v is None else f"{v:.1e}" for v in numbers), f"{radius['converged']:.0%}"]
-    cells.append("–" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f}×")
-    return "| " + " | ".join(cells) + " |"
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("pipeline", nargs="?", default="pipeline/paper.toml")
-    parser.add_argument("--epochs", type=int, default=12)
-    parser.add_argument("--store", default="artifacts")
-    asked = parser.parse_args()
-    shared = ['train.models=["deeponet"]', f"train.deeponet.epochs={asked.epochs}", "train.deeponet.snapshots=[]"]
-    shared += ["evaluate.map_D=[]", "evaluate.map_D_hat=[]"]  # the cases at D = 1 tell the rows apart
-    print("| " + " | ".join(COLUMNS) + " |\n|" + "---|" * len(COLUMNS), flush=True)
-    for name, changes in ROWS.items():
-        print(line(name, evaluate(asked.pipeline, asked.store, shared + changes)), flush=True)
+def cells(name: str, row: dict) -> list[str]:
+    """The row of the table."""
+    radius, numbers = row["radius"], [row[key] for key in ("mse", "eps_sup", "eps_kappa")]
+    numbers += [row["eps_relative"]["median"], radius["median"], radius["worst"]]
+    settles = "–" if row["settle_ratio"] is None else f"{row['settle_ratio']:.2f}×"
+    return [name, *("∞" if v is None else f"{v:.1e}" for v in numbers), f"{radius['converged']:.0%}", settles]
 
 
 if __name__ == "__main__":
-    main()
+    asked = harness.options(__doc__, {"pipeline": "pipeline/paper.toml"}, epochs=12, store="artifacts")
+    shared = ['train.models=["deeponet"]', f"train.deeponet.epochs={asked.epochs}", "train.deeponet.snapshots=[]"]
+    shared += ["evaluate.map_D=[]", "evaluate.map_D_hat0=[]"]  # the cases at D = 1 tell the rows apart
+    harness.head(*COLUMNS)
+    for name, changes in ROWS.items():
+        harness.row(*cells(name, evaluate(asked.pipeline, asked.store, shared + changes)))

@@ -6,45 +6,13 @@ A pendulum by NumPy, whose functions take a few microseconds: nearly all is the 
 dt = 10 ms, the fastest of three runs.
 """
 
-import time
-
+import harness
 import numpy as np
+from plants import Called, Traced
 
 import npred
 
 LOOPS, METHODS = (1, 64, 1024), {"heun": 21, "rk4": 41, "picard": 41}
-
-
-class Traced:
-    """An upright pendulum."""
-
-    states, inputs = ("theta", "omega"), ("torque",)
-    box = {"theta": (-0.5, 0.5), "omega": (-0.5, 0.5)}
-
-    def f(x, u, t, p, M):
-        return [x.omega, 10.0 * M.sin(x.theta) + u.torque]
-
-    def kappa(x, t, p, M):
-        return [-10.0 * M.sin(x.theta) - 4.0 * (x.theta + x.omega)]
-
-    def V(x, t, p, M):
-        return x.theta**2 + x.omega**2
-
-
-class Called:
-    """The same, as functions of rows."""
-
-    traced = False
-    states, inputs, box = Traced.states, Traced.inputs, Traced.box
-
-    def f(X, u, t, p):
-        return np.stack([X[:, 1], 10.0 * np.sin(X[:, 0]) + u[:, 0]], axis=1)
-
-    def kappa(X, t, p):
-        return (-10.0 * np.sin(X[:, 0]) - 4.0 * X.sum(axis=1))[:, None]
-
-    def V(X, t, p):
-        return (X**2).sum(axis=1)
 
 
 def microseconds(plant: npred.plants.Plant, method: str, loops: int, steps: int, adapts: bool) -> float:
@@ -54,16 +22,11 @@ def microseconds(plant: npred.plants.Plant, method: str, loops: int, steps: int,
     X0 = np.linspace(-0.3, 0.3, 2 * loops).reshape(loops, 2)
     settings = {"D": 0.3, "D_hat": 0.3, "X0": X0, "dt": 0.01, "adaptation": law, "progress": False}
     npred.simulate(plant, predictor, t_end=0.02, **settings)  # compiles
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        npred.simulate(plant, predictor, t_end=0.01 * steps, **settings)
-        times.append(time.perf_counter() - start)
-    return min(times) / steps / loops * 1e6
+    run = lambda: npred.simulate(plant, predictor, t_end=0.01 * steps, **settings)  # noqa: E731
+    return min(harness.seconds(run)[0] for _ in range(3)) / steps / loops * 1e6
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     traced, called = npred.plant(Traced), npred.plant(Called)
     print("method  nodes  loops   traced    called   times")
     for method, adapts in (*((name, False) for name in METHODS), ("heun", True)):
@@ -72,7 +35,3 @@ def main() -> None:
             slow = microseconds(called, method, loops, max(20, 200 // loops), adapts)
             name, times = f"{method:7s} {METHODS[method]:5d} {loops:6d}", f"{slow / fast:6.0f}"
             print(f"{name} {fast:6.2f} us {slow:6.4g} us {times}{'  with the law for D_hat' * adapts}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

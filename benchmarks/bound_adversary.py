@@ -11,13 +11,12 @@ below `TINY` are left out: they are those of the integrations. Printed is one ro
 import argparse
 from pathlib import Path
 
+import harness
 import numpy as np
 from guard_adversary import READINGS, SIZE, SYSTEMS, Calls, Population, Ranges, System, by_dop853, by_rk4, most
 
 import npred
 from npred.guard.guarded import Guarded
-from npred.lab.scheduler.models import load_data
-from npred.lab.training.data import shards
 from npred_experiments.bounds import ErrorBound
 
 TOGETHER, GENERATIONS = 20, 50  # populations side by side
@@ -29,9 +28,7 @@ MEANS = READINGS.index("means")
 
 
 @np.errstate(all="ignore")
-def ratios(
-    guard: Guarded, error_bound: ErrorBound, system: System, calls: Calls
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def ratios(guard: Guarded, error_bound: ErrorBound, system: System, calls: Calls) -> tuple[np.ndarray, ...]:
     """Of each call the true error over the bound (0 where it is tiny), the bound, and U of the network."""
     P = guard.model(*calls)
     U = guard.plant.kappa(P[:, -1], calls.t + calls.D_hat).T
@@ -42,13 +39,9 @@ def ratios(
 
 
 def search(
-    guard: Guarded,
-    error_bound: ErrorBound,
-    system: System,
-    ranges: Ranges,
-    starts: np.ndarray,
+    guard: Guarded, error_bound: ErrorBound, system: System, ranges: Ranges, starts: np.ndarray,
     options: argparse.Namespace,
-) -> tuple[int, int, np.ndarray]:
+) -> tuple[int, int, np.ndarray]:  # fmt: skip
     """How many calls were made and bounded, and the rows z, ratio of those nearest to the bound."""
     rng, made, bounded = np.random.default_rng(options.seed), 0, 0
     nearest = np.zeros((0, starts.shape[1] + 1))
@@ -66,17 +59,11 @@ def search(
     return made, bounded, nearest
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("model", nargs="?", default="pipeline/paper.toml:deeponet")
-    parser.add_argument("--nx", type=int, default=51)
-    parser.add_argument("--calls", type=int, default=60_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--states", choices=("box", "data"), default="box")
-    parser.add_argument("--store", type=Path, default=Path("artifacts"))
-    options = parser.parse_args()
-    guard = npred.guarded(npred.load(options.model, nx=options.nx, store=options.store, runtime="fused"))
-    data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
+if __name__ == "__main__":
+    options = harness.options(
+        __doc__, {"model": harness.PAPER}, nx=51, calls=60_000, seed=1, states=("box", "data"), store=Path("artifacts")
+    )
+    guard, data = npred.guarded(harness.network(options)), harness.samples(options.model, options.store)
     system, ranges = SYSTEMS[guard.plant.name], Ranges(guard, data, options.states)
     starts = ranges.starts(np.random.default_rng(options.seed), data, 2000)
     error_bound = ErrorBound.of(guard)
@@ -85,9 +72,6 @@ def main() -> None:
     _, bound, U = ratios(guard, error_bound, system, calls)
     exact = np.array([by_dop853(system, *(part[k] for part in calls))[MEANS] for k in range(len(nearest))])
     ratio = np.abs(U.T - exact).max(axis=1) / bound
-    cells = [f"`{Path(options.model).name}`, {options.nx}", options.states, made, bounded, f"{nearest[0, -1]:.9f}"]
-    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n| {' | '.join(map(str, cells))} | {ratio.max():.9f} |")
-
-
-if __name__ == "__main__":
-    main()
+    found = made, bounded, f"{nearest[0, -1]:.9f}", f"{ratio.max():.9f}"
+    harness.head(*HEAD)
+    harness.row(f"`{Path(options.model).name}`, {options.nx}", options.states, *found)

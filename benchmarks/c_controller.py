@@ -9,19 +9,17 @@ tenth call without one. The compiler's flags allow what they allow the kernels t
 (npred.kernels.compiler.FLAGS), and NaN stays NaN.
 """
 
-import argparse
 import json
 import subprocess
 import tempfile
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
-from typer.testing import CliRunner
+import harness
 
 import npred
 from npred.base import defaults
-from npred.cli import app
-from npred.exports import c_controller
 from npred.lab import config
 
 FLAGS = "-O3 -march=native -fno-math-errno -fno-trapping-math -fno-signed-zeros -freciprocal-math"
@@ -86,9 +84,7 @@ def measure(folder: Path, flags: list[str], step: str) -> dict[str, float]:
 def exported(arguments: list[str], store: Path, flags: list[str]) -> dict[str, float]:
     """The times of a controller that the command line exports."""
     with tempfile.TemporaryDirectory() as name:
-        done = CliRunner().invoke(app, ["export", "controller", *arguments, "--store", str(store), "-o", name])
-        if done.exit_code:
-            raise SystemExit(done.output)
+        harness.command_line("export", "controller", *arguments, "--store", str(store), "-o", name)
         return measure(Path(name), flags, PLAIN if "history" in arguments else MEASURED)
 
 
@@ -103,48 +99,29 @@ def clocked(pipeline: str, nx: int, flags: list[str]) -> Iterator[tuple[str, dic
             controller = npred.controller(
                 plant, npred.predictor(plant, method, nx), law, dt, D_hat=2.0, actuator="history", observer=observer
             )
-            files = c_controller.sources(controller)
             for kind, step in {"EKF": PLAIN, "EKF and stamps": STAMPED}.items():
                 with tempfile.TemporaryDirectory() as folder:
-                    for file, text in zip(("npred.h", "npred.c"), files, strict=True):
-                        (Path(folder) / file).write_text(text)
+                    harness.sources(controller, Path(folder))
                     yield f"{method}, double, {kind}{name}", measure(Path(folder), flags, step)
 
 
 def rows(model: str, nx: int) -> dict[str, list[str]]:
     """The exports that are timed."""
     pipeline = model.rpartition(":")[0]
-    kinds = {"network": [model], "network, guard": [model, "--guard", "0.01"]}
-    kinds |= {"heun": [pipeline, "--predictor", "heun"], "rk4": [pipeline, "--predictor", "rk4"]}
+    kinds = {"network": model, "network, guard": f"{model} --guard 0.01"}
+    kinds |= {method: f"{pipeline} --predictor {method}" for method in ("heun", "rk4")}
+    each = product(kinds.items(), ("double", "float"), ("measured", "history"))
     return {
-        f"{kind}, {precision}, {actuator}": [
-            *arguments,
-            "--nx",
-            str(nx),
-            "--precision",
-            precision,
-            "--actuator",
-            actuator,
-        ]
-        for kind, arguments in kinds.items()
-        for precision in ("double", "float")
-        for actuator in ("measured", "history")
+        f"{kind}, {precision}, {actuator}": f"{words} --nx {nx} --precision {precision} --actuator {actuator}".split()
+        for (kind, words), precision, actuator in each
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model")
-    parser.add_argument("--store", type=Path, default=Path("artifacts"))
-    parser.add_argument("--nx", type=int, default=101)
-    parser.add_argument("--flags", default=FLAGS)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    results = {
-        kind: exported(arguments, options.store, options.flags.split())
-        for kind, arguments in rows(options.model, options.nx).items()
-    }
-    results |= clocked(options.model.rpartition(":")[0], options.nx, options.flags.split())
+    options = harness.options(__doc__, {"model": ...}, store=Path("artifacts"), nx=101, flags=FLAGS, json=False)
+    flags = options.flags.split()
+    results = {kind: exported(words, options.store, flags) for kind, words in rows(options.model, options.nx).items()}
+    results |= clocked(options.model.rpartition(":")[0], options.nx, flags)
     if options.json:
         print(json.dumps(results, indent=2))
         return

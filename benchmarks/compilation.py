@@ -11,12 +11,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+import harness
 
 from npred.lab.report.terminal.console import columns
 
-HERE = Path(__file__).resolve().parent
 PLANTS = ("activator_repressor", "planar_arm2", "planar_arm5", "planar_arm7")
 URDF = """\
 from npred_robots.chain import chain
@@ -46,19 +46,15 @@ def seconds(plant: str, what: str, cache: str) -> tuple[float, float]:
     """Of the whole process, and of the call alone."""
     script = CALL + FIRST[what] + "print(time.perf_counter() - start)"
     environment = {name: value for name, value in os.environ.items() if name != "NPRED_CACHE"}
-    start = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", script, plant], env=environment | {"XDG_CACHE_HOME": cache}, stdout=subprocess.PIPE,
-        check=True,
-    )  # fmt: skip
-    return time.perf_counter() - start, float(done.stdout)
+    words, named = [sys.executable, "-c", script, plant], {"env": environment | {"XDG_CACHE_HOME": cache}}
+    whole, call = harness.seconds(lambda: subprocess.check_output(words, **named))
+    return whole, float(call)
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         arm = Path(folder, "six_joint.py")
-        arm.write_text(URDF.format(path=str(HERE.parent / "siblings" / "npred_robots" / "tests" / "six_joint.urdf")))
+        arm.write_text(URDF.format(path=str(harness.ROOT / "siblings" / "npred_robots" / "tests" / "six_joint.urdf")))
         rows = []
         for plant in sys.argv[1:] or [*PLANTS, f"{arm}:Arm"]:
             for what in FIRST:
@@ -66,7 +62,3 @@ def main() -> None:
                 times = [f"{t:.2f}" for _ in ("cold", "warm") for t in seconds(plant, what, cache)]
                 rows.append([Path(plant).name, what, *times])
     print(columns(["plant", "first", "cold wall [s]", "cold call [s]", "warm wall [s]", "warm call [s]"], rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -9,12 +9,13 @@ QEMU's clock runs 1 ns per instruction and SysTick counts it at 25 MHz, which gi
 no pipeline, no cache and no flash that is slow.
 """
 
-import argparse
 import json
 import re
 import subprocess
 import tempfile
 from pathlib import Path
+
+import harness
 
 ASSETS = Path(__file__).parent / "cortex_m"
 BOARDS = {
@@ -32,10 +33,8 @@ def measure(folder: Path, precision: str) -> dict[str, float]:
     """
     board, cpu = BOARDS[precision]
     measured = "npred_step_nodes" in (folder / "npred.h").read_text()
-    define = [
-        f"-Dnpred_real={precision}",
-        f"-DMEASURED_FROM={_u(measured, '(const npred_real *)measured + NPRED_N_STATES,')}",
-    ]
+    u = "(const npred_real *)measured + NPRED_N_STATES," if measured else ""
+    define = [f"-Dnpred_real={precision}", f"-DMEASURED_FROM={u}"]
     cross = ["arm-none-eabi-gcc", "-std=gnu99", "-O2", "-mthumb", "-mfloat-abi=hard", *cpu, *define, f"-I{folder}"]
     link = ["-nostartfiles", "-specs=nosys.specs", "-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"]
     link += [f"-T{ASSETS / 'mps2.ld'}", "-Wl,--no-warn-rwx-segments"]
@@ -58,10 +57,6 @@ def measure(folder: Path, precision: str) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _u(measured: bool, text: str) -> str:
-    return text if measured else ""
-
-
 def _run(command: list[str]) -> str:
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300)
     if done.returncode:
@@ -82,23 +77,11 @@ def rows(model: str, nx: int) -> dict[tuple[str, str], list[str]]:
 
 
 def main() -> None:
-    from typer.testing import CliRunner
-
-    from npred.cli import app
-
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model")
-    parser.add_argument("--store", type=Path, default=Path("artifacts"))
-    parser.add_argument("--nx", type=int, default=101)
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
+    options = harness.options(__doc__, {"model": ...}, store=Path("artifacts"), nx=101, json=False)
     results = {}
     for (kind, precision), arguments in rows(options.model, options.nx).items():
         with tempfile.TemporaryDirectory() as name:
-            command = ["export", "controller", *arguments, "--store", str(options.store), "-o", name]
-            done = CliRunner().invoke(app, command)
-            if done.exit_code:
-                raise SystemExit(done.output)
+            harness.command_line("export", "controller", *arguments, "--store", str(options.store), "-o", name)
             results[f"{kind}, {precision}"] = measure(Path(name), precision)
     if options.json:
         print(json.dumps(results, indent=2))

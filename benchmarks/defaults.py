@@ -46,15 +46,10 @@ def row(name: str, D: float) -> tuple[float | None, str]:
         return None, str(error)
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     names = [plant["name"] for plant in plants.named()] + ["tank"]
     asked = dict(pair.split("=") for pair in sys.argv[1:]) or {name: SECONDS.get(name, 0.5) for name in names}
     print("| plant | D, s | gamma | |\n|---|---|---|---|")
     for name, D in asked.items():
         gamma, found = row(name, float(D))
         print(f"| {name} | {float(D):g} | {'–' if gamma is None else f'{gamma:g}'} | {found} |", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -15,32 +15,15 @@ metrics.gain. By simulation: square waves at constant D_hat, and a constant e wi
 the box, where e moves D_hat too.
 """
 
-import argparse
-
+import harness
 import numpy as np
+from plants import TwoDelays
 from scipy.linalg import expm
 
 import npred
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.prediction.methods.base import Predictor
-
-
-class TwoDelays:
-    """Two inputs, the second one later; unstable without them."""
-
-    states, inputs, delays = ("x", "y"), ("a", "b"), (0.4, 1.0)
-
-    @staticmethod
-    def f(x, u, t, p, M):
-        """Both states grow."""
-        return [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b]
-
-    @staticmethod
-    def kappa(x, t, p, M):
-        """Linear."""
-        return [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y]
-
 
 CASES = (
     (npred.plant("scalar"), 1.0), (npred.plant("activator_repressor"), 1.0), (npred.plant("strict_feedforward2"), 1.0),
@@ -156,7 +139,7 @@ def simulated_gains(plant: Plant, gain: float) -> None:
             shown.append(f"{np.abs(loop.X[-5000:] - plant.equilibrium).max() / gain / e:.3g} at {e:g}")
         print(f"  D_hat = {D_hat:g}: {', '.join(shown)}", flush=True)
     print("constant e, the paper's law, D_hat(0) = 2 s, 64 starts of the box, 100 s: |X - X*| / (gain |e|), last 10 s")
-    X0 = np.random.default_rng(0).uniform(*np.array([plant.box[name] for name in plant.states]).T, (64, plant.n))
+    X0 = harness.starts(plant, 64, np.random.default_rng(0))
     law = npred.DelayAdaptation(gamma=1000.0, bounds=(0.1, 4.0))
     for e in [side * e for e in SIZES for side in (-1, 1)]:
         loop = npred.simulate(
@@ -170,18 +153,14 @@ def simulated_gains(plant: Plant, gain: float) -> None:
 
 def main() -> None:
     """Print a line per plant and side."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=500)
-    parser.add_argument("--gain", action="store_true")
-    options = parser.parse_args()
+    options = harness.options(__doc__, steps=500, gain=False)
     if options.gain:
         gains()
         return
-    steps = options.steps
     print("plant                  D    by the spectrum  by simulation  difference")
     for plant, D in CASES:
         for side, edge in zip((-1, 1), npred.delay_margin(plant, D), strict=True):
-            found = simulated(plant, D, side, steps)
+            found = simulated(plant, D, side, options.steps)
             print(f"{plant.name:20} {D:5g} {edge:16.5f} {found:14.5f} {found / edge - 1:10.2%}", flush=True)
 
 

@@ -12,6 +12,7 @@ compiled one is the same law.
 import sys
 from typing import Any
 
+import harness
 import numpy as np
 
 import npred
@@ -19,8 +20,6 @@ from npred.base import grid
 from npred.lab import config
 from npred.lab.config import conditions
 from npred.lab.report.terminal.console import columns
-from npred.lab.scheduler.models import load_data
-from npred.lab.training.data import shards
 from npred.loop import metrics
 
 FIRST = (0.3, 0.5, 1.0, 1.5, 2.0, 3.5)  # s: D_hat(0)
@@ -74,7 +73,7 @@ def of_networks(models: list[str]) -> None:
     rows = []
     for model in models:
         network, pipeline = npred.load(model), model.rpartition(":")[0]
-        data = shards.survey(load_data(pipeline, None).folder / "data.h5").subset(test=True)
+        data = harness.samples(model, None).subset(test=True)
         law = conditions.adaptation(config.load(pipeline).evaluate, network.plant)
         u = grid.refine(data.u, network.nx)
         exact = npred.predictor(network.plant, "rk4", network.nx)(data.X, u, data.D_hat)

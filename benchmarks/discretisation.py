@@ -1,26 +1,27 @@
 """What control steps, nodes and cell means cost: figures of docs/fidelity.md, docs/predictors.md, docs/real_loop.md, …
 
-    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [delay] [default] [exact]
+    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [default] [exact]
 
 mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
 tracking: where D_hat of a loop that follows sin t ends.
 order: the error of P(1) of nodes whose inputs a loop gives, and of a smooth u, and its fitted order.
 margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
 published: what two digits of docs/reproduce.md are of.
-delay: what loops lose by fewer and fewer control steps in a known delay.
 default: what the default control steps lose, for delays of a tenth, a third and all of a usual one.
 exact: delays of one to three control steps against an exact sampled predictor.
 """
 
-import sys
 import time
+from functools import partial
 
+import harness
 import numpy as np
+from plants import Led, declared
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 
 import npred
-from npred.loop import control_step, hold
+from npred.loop import control_step
 from npred.plants import Plant
 
 TIGHT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
@@ -42,27 +43,9 @@ def mesh() -> None:
             print(f"  {'U >= 0' if clip else 'unclipped':9s}  dt = {dt:<8g}  {'; '.join(gaps)}", flush=True)
 
 
-class Follower:
-    """x' = -x/2 + U, led along sin t."""
-
-    states, inputs = ("x",), ("U",)
-
-    def f(x, u, t, p, M):
-        return [u.U - x.x / 2]
-
-    def kappa(x, t, p, M):
-        return [x.x / 2 + M.cos(t) - (x.x - M.sin(t))]
-
-    def V(x, t, p, M):
-        return (x.x - M.sin(t)) ** 2
-
-    def reference(t, p, M):
-        return [M.sin(t)]
-
-
 def tracking() -> None:
     """D = 1, gamma = 0.2, 101 nodes."""
-    plant, law = Plant("follower", Follower), npred.DelayAdaptation(gamma=0.2, bounds=(0.1, 3.0))
+    plant, law = Plant("follower", Led), npred.DelayAdaptation(gamma=0.2, bounds=(0.1, 3.0))
     for X0 in (0.0, 0.5):
         for dt in (0.01, 0.005):
             run = npred.simulate(
@@ -76,10 +59,7 @@ def tracking() -> None:
 def _held(plant: Plant, X: np.ndarray, u: np.ndarray, h: float) -> np.ndarray:
     """X (B, n) after the inputs u (B, N), each held for h: a step of RK4 for each, of error 1e-13 here."""
     for now in np.moveaxis(u[..., None], 1, 0):
-        f = [plant.f(X, now)]
-        for c in (0.5, 0.5, 1.0):
-            f.append(plant.f(X + c * h * f[-1], now))
-        X = X + h / 6 * (f[0] + 2 * f[1] + 2 * f[2] + f[3])
+        X = harness.rk4(partial(plant.f, u=now), X, h)
     return X
 
 
@@ -146,11 +126,7 @@ def published() -> None:
         k, share = np.divmod(i[inside], 1)
         k, before = k.astype(int), np.maximum(np.flatnonzero(inside) - 1, 0)  # of t = 0 the command before it was 0
         acting = U[before] * (np.flatnonzero(inside) > 0)[:, None]
-        h = (share * constant.DT)[:, None]
-        f = [plant.f(X[k], acting)]
-        for c in (0.5, 0.5, 1.0):
-            f.append(plant.f(X[k] + c * h * f[-1], acting))
-        exact = X[k] + h / 6 * (f[0] + 2 * f[1] + 2 * f[2] + f[3])
+        exact = harness.rk4(partial(plant.f, u=acting), X[k], (share * constant.DT)[:, None])
         line = X[k] + share[:, None] * (X[np.minimum(k + 1, len(X) - 1)] - X[k])
         score.append(np.linalg.norm(exact - line, axis=-1).mean())
     print(f"unicycle_constant: RK4 {constant.meant():.7f}, an exact predictor {np.mean(score):.7f}", flush=True)
@@ -200,17 +176,6 @@ def _lost(plant, D: float, dt: float, parts: int, **loop) -> float:
     return float((np.abs(run.X[:count] - fine.X[:count]) / size).max())
 
 
-def delay() -> None:
-    """What a loop loses by fewer and fewer control steps in a known delay, and what npred says of small states."""
-    for name, (D, X0) in CASES.items():
-        plant, shown = npred.plant(name), []
-        loop = {"X0": X0, "t_end": 20.0 * D, "actuator": "history"}
-        for steps in (300, 60, 20, 10, 5, 2, 1):
-            lost = _lost(plant, D, D / steps, 3000 // steps, **loop)
-            shown.append(f"{steps}: {lost:.1%} ({hold.loss(plant, D / steps):.1%})")
-        print(f"{name}, D / dt = {', '.join(shown)}", flush=True)
-
-
 def default() -> None:
     """Default control steps beside D / 300 and D / 20: what the loop loses, the error of D_hat at its end, the time."""
     print("plant                    D      dt  D / dt   loss  |D_hat / D - 1|      ms")
@@ -236,20 +201,16 @@ def exact() -> None:
     The referee is x(k + 1) = A_d x(k) + B_d u(k - d), u = -K x(k + d), by SciPy's expm and its discrete LQR.
     """
 
-    class Cart:
-        """A cart that is pushed: RK4 is exact for commands that are held."""
-
-        states, inputs, box = ("x", "v"), ("u",), {"x": (-1.0, 1.0), "v": (-1.0, 1.0)}
-        parameters = {"k1": 0.0, "k2": 0.0}
-        f = lambda x, u, t, p, M: [x.v, u.u]  # noqa: E731
-        kappa = lambda x, t, p, M: [-p.k1 * x.x - p.k2 * x.v]  # noqa: E731
-
+    cart = declared(  # RK4 is exact for commands that are held
+        "Cart", "x v", "u", lambda x, u, t, p, M: [x.v, u.u], [(-1.0, 1.0), (-1.0, 1.0)],
+        parameters={"k1": 0.0, "k2": 0.0}, kappa=lambda x, t, p, M: [-p.k1 * x.x - p.k2 * x.v],
+    )  # fmt: skip
     dt = 1.0
     step = expm(dt * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]]))
     A, B = step[:2, :2], step[:2, 2:]
     S = solve_discrete_are(A, B, np.eye(2), np.eye(1))
     K = np.linalg.solve(np.eye(1) + B.T @ S @ B, B.T @ S @ A)[0]
-    plant = Plant("cart", Cart, {"k1": K[0], "k2": K[1]})
+    plant = Plant("cart", cart, {"k1": K[0], "k2": K[1]})
     for d in (1, 2, 3):
         run = npred.simulate(
             plant, npred.predictor(plant, "rk4", 61), D=d * dt, D_hat=d * dt, X0=[0.5, 0.0], t_end=30.0, dt=dt,
@@ -268,6 +229,5 @@ def exact() -> None:
 
 
 if __name__ == "__main__":
-    parts = {f.__name__: f for f in (mesh, tracking, order, margin, published, delay, default, exact)}
-    for name in sys.argv[1:] or parts:
-        parts[name]()
+    for part in harness.chosen(__doc__, mesh, tracking, order, margin, published, default, exact):
+        part()

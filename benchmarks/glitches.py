@@ -10,20 +10,18 @@ that of the loop without one. A step that is refused holds the last command. `--
 `--noise 0.05` has no wrong sample, and counts those that the gate takes for wrong.
 """
 
-import argparse
-import ctypes
 import itertools
-import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
+from harness import KINDS
 
 import npred
 from npred.base.errors import ConfigError, DivergedError
-from npred.exports import c_controller, fmu
 from npred.loop import engine
 from npred.loop.actuator import actuate, history
 from npred.loop.controller import Controller
@@ -56,78 +54,17 @@ def made(name: str, gate: float | None, observer: str = "none") -> Controller:
     )  # fmt: skip
 
 
-def in_python(controller: Controller, folder: Path) -> Iterator[Step]:
-    """Fresh controllers, one a loop."""
+def told(one: Any) -> Step:
+    """The step of one of KINDS, which forgets what was before."""
 
     def step(X: np.ndarray) -> np.ndarray | None:
         try:
-            return one.step(X).copy()
+            return one.step(X)
         except DivergedError:
             return None
 
-    while True:
-        one = controller.fresh()
-        yield step
-
-
-def in_c(controller: Controller, folder: Path) -> Iterator[Step]:
-    """The same of the exported C."""
-    for file, text in zip(("npred.h", "npred.c"), c_controller.sources(controller), strict=True):
-        (folder / file).write_text(text)
-    size = "unsigned long size(void);\nunsigned long size(void) { return sizeof(npred_controller); }\n"
-    (folder / "size.c").write_text('#include "npred.c"\n' + size)
-    command = ["cc", "-std=c99", "-O2", "-shared", "-fPIC", "size.c", "-o", "npred.so", "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
-    library = ctypes.CDLL(str(folder / "npred.so"))
-    library.size.restype = ctypes.c_ulong
-
-    def step(X: np.ndarray) -> np.ndarray | None:
-        X, U = np.ascontiguousarray(X), np.zeros(controller.plant.m)
-        code = library.npred_step(memory, *(a.ctypes.data_as(ctypes.c_void_p) for a in (X, U)))
-        return None if code else U
-
-    while True:
-        memory = ctypes.create_string_buffer(library.size())
-        library.npred_init(memory)
-        yield step
-
-
-def in_fmu(controller: Controller, folder: Path) -> Iterator[Step]:
-    """The same of the FMU, by FMPy; a step that was refused says so in the log."""
-    import fmpy
-    from fmpy.fmi3 import FMU3Slave
-
-    path, dt = folder / "controller.fmu", controller.dt
-    npred.export(controller, "fmu", path)
-    listed = fmu.variables(controller, controller.plant.target(0.0), arrays=True)
-    described: Any
-    described, unzipped = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
-    X_places = [k for k, variable in enumerate(listed) if variable.block == "X"]
-    U_places = [k for k, variable in enumerate(listed) if variable.block == "U"]
-    messages: list[bytes] = []
-
-    def step(X: np.ndarray) -> np.ndarray | None:
-        nonlocal t
-        messages.clear()
-        slave.setFloat64(X_places, X.tolist())
-        slave.doStep(t, dt)
-        t += dt
-        return None if messages else np.array(slave.getFloat64(U_places))
-
-    while True:
-        slave, t = FMU3Slave(
-            guid=described.guid, unzipDirectory=unzipped,
-            modelIdentifier=described.coSimulation.modelIdentifier, instanceName="one",
-        ), 0.0  # fmt: skip
-        slave.instantiate(logMessage=lambda *call: messages.append(call[3]))
-        slave.enterInitializationMode(startTime=0.0)
-        slave.exitInitializationMode()
-        yield step
-        slave.terminate()
-        slave.freeInstance()
-
-
-KINDS = {"Python": in_python, "C": in_c, "FMU": in_fmu}
+    one.begin()
+    return step
 
 
 def loop(
@@ -137,7 +74,7 @@ def loop(
     NaN where it was refused. The samples are `wrong` of the step and of the outputs.
     """
     plant, dt, steps = controller.plant, controller.dt, round(t_end / controller.dt)
-    low, high = np.array([plant.box[name] for name in plant.states]).T
+    low, high = harness.box(plant)
     X, p = ((3 * high + low) / 4)[:, None], plant.p
     advance, longest = engine.advance_kernel(plant, RK4), np.array([5 * D])
     k, held, total = history(longest[0], longest[0], dt, Past(controller.u0[None]))
@@ -163,9 +100,7 @@ def settled(distances: np.ndarray, band: float) -> int:
 
 def half_widths(controller: Controller) -> np.ndarray:
     """Those of the samples: of the box, or of the outputs over it."""
-    if controller.observer:
-        return controller.observer.sizes.dy
-    return np.array([np.ptp(controller.plant.box[name]) / 2 for name in controller.plant.states])
+    return controller.observer.sizes.dy if controller.observer else harness.half_widths(controller.plant)
 
 
 def glitches(name: str, observer: str, kinds: list[str], gate: float | None) -> str:
@@ -176,8 +111,8 @@ def glitches(name: str, observer: str, kinds: list[str], gate: float | None) -> 
     for kind in kinds:
         draws = np.random.default_rng(0)
         with tempfile.TemporaryDirectory() as folder:
-            steps = KINDS[kind](controller, Path(folder))
-            distances, U = loop(controller, next(steps), D, t_end, lambda i, Y: Y)
+            one = KINDS[kind](controller, Path(folder))
+            distances, U = loop(controller, told(one), D, t_end, lambda i, Y: Y)
             T = settled(distances, band)
             if len(distances) == T:
                 return f"{name:20} {observer:10} does not settle within {t_end:g}: {distances[-1]:.2g}"
@@ -186,7 +121,7 @@ def glitches(name: str, observer: str, kinds: list[str], gate: float | None) -> 
                 at = int(draws.integers(0, 2 * T)) if number else 0
                 push = draws.choice([-1, 1]) * np.exp(draws.uniform(*np.log(SIZES))) * half
                 length = (max(2 * T, at) + 3 * late) * dt + 1.0
-                gaps, sent = loop(controller, next(steps), D, length, lambda i, Y, at=at, s=push: Y + s * (i == at))
+                gaps, sent = loop(controller, told(one), D, length, lambda i, Y, at=at, s=push: Y + s * (i == at))
                 recovered += settled(gaps, band) <= max(T, at) + late
                 refused, farthest = refused + int(np.isnan(sent).sum()), max(farthest, gaps.max())
                 at_rest = max(at_rest, np.nanmax(sent[at:])) if at >= T else at_rest
@@ -216,22 +151,16 @@ def noisy(name: str, noise: float, gate: float | None) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--plants", nargs="*", default=None)
-    parser.add_argument("--observers", nargs="*", choices=OBSERVERS, default=list(OBSERVERS))
-    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=["Python"])
-    parser.add_argument("--gate", default="1")
-    parser.add_argument("--noise", type=float)
-    options: Any = parser.parse_args()
+    options = harness.options(__doc__, plants=[*PLANTS], observers=OBSERVERS, kinds=["Python"], gate="1", noise=float)
     gate = None if options.gate == "none" else float(options.gate)
     if options.noise is not None:
-        for name in options.plants or PLANTS:
+        for name in options.plants:
             print(noisy(name, options.noise, gate), flush=True)
         return
     head = " | ".join(f"{kind}: recover, refused, farthest, U at rest" for kind in options.kinds)
     print(f"{'plant':20} {'observer':10} {'settles':>8} {head}")
     with np.errstate(all="ignore"):
-        for name, observer in itertools.product(options.plants or PLANTS, options.observers):
+        for name, observer in itertools.product(options.plants, options.observers):
             try:
                 print(glitches(name, observer, options.kinds, gate), flush=True)
             except ConfigError as refusal:  # an observer that does not serve the plant

@@ -1,18 +1,16 @@
 """What an adversary finds that a guard lets pass, and how large the errors of U are there.
 
     python benchmarks/guard_adversary.py [MODEL] [--nx 51] [--states box|data|domain]
-    python benchmarks/guard_adversary.py --table --calls 100_000 --seconds 3600
-    python benchmarks/guard_adversary.py --states data --recombined 240000
     python benchmarks/guard_adversary.py --answers 20000
 
-MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; with
-`--table` those of docs/guard.md. Inputs are u and D_hat in the ranges of the data, and X in the plant's box, as `npred
-certify` searches, or in the range of the data; with `--states domain` all three as far as the guard's domain reaches,
-and u ten times as wide from node to node, for the domain knows three moments of u alone. `readings agree` counts those
-passes for which the readings of u differ by a quarter of the tolerance at most, and `above` the wrong ones among them.
-`--recombined` searches nothing: X, u, D_hat and the time are those of rows of the data, each of another one.
-`--answers` prints instead the errors of U that the numerical predictor makes in the calls that do not pass, of rows of
-the data with X from the plant's box or its range in half of them.
+MODEL is pipeline/paper.toml:deeponet by default, and has to be trained. One row of a Markdown table is printed; the
+search ends after `--seconds` or `--calls`. `--output` names a .npz for the calls that DOP853 looked at. Inputs are u
+and D_hat in the ranges of the data, and X in the plant's box, as `npred certify` searches, or in the range of the data;
+with `--states domain` all three as far as the guard's domain reaches, and u ten times as wide from node to node, for
+the domain knows three moments of u alone. `readings agree` counts those passes for which the readings of u differ by a
+quarter of the tolerance at most, and `above` the wrong ones among them. `--answers` prints instead the errors of U that
+the numerical predictor makes in the calls that do not pass, of rows of the data with X from the plant's box or its
+range in half of them.
 
 Neither the guard, nor npred's integrators, nor its plants say here what the true U is. Hill climbing from rows of the
 data, and CMA-ES from the best that it came to, maximise the error of U among the calls that pass. That error is the
@@ -31,14 +29,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import cma
+import harness
 import numpy as np
 from scipy.integrate import solve_ivp
 
-import npred
 from npred.base import grid
 from npred.guard.guarded import Guarded
-from npred.lab.scheduler.models import load_data
-from npred.lab.training.data import shards
 from npred.lab.training.data.dataset import Dataset
 from npred.prediction.delays import problem, problem_of
 from npred.prediction.methods import RK4
@@ -60,17 +56,7 @@ WIDE = 10.0  # spans of u in the data, as far as the domain's moments let u go f
 PENDING = 2000  # calls above the tolerance by COARSE steps that are counted at once by FINE ones
 WORST, SAMPLE = 10, 10  # calls above the tolerance that are integrated by DOP853: the worst, and random ones
 STATES = ("box", "data", "domain")
-PAPER = "pipeline/paper.toml"
-UNICYCLE = {"model": "pipeline/unicycle.toml:deeponet", "tolerance": 0.05}
-TABLE: list[dict[str, Any]] = [
-    network | {"states": states}
-    for network in [
-        *({"model": f"{PAPER}:{name}", "nx": nx} for name in ("deeponet", "fno") for nx in (21, 51, 101)),
-        {"model": "pipeline/chemostat.toml:deeponet", "nx": 51},
-        UNICYCLE | {"nx": 51},
-    ]
-    for states in ("box", "data", "domain")
-]
+STATES = ("box", "data", "domain")  # where X comes from
 HEAD = ["network, nodes", "where X", "calls", "passed", "above", "above 2", "readings agree", "above", "worst"]
 HEAD += ["DOP853 agrees"]
 
@@ -103,38 +89,6 @@ def pomet(x: Any, t: Any) -> list[Any]:
     return [turn, -p + 5 * q * (s - c) + q * turn]
 
 
-LINKS, FRICTION = 7, 20.0  # of pipeline/geared_arm.toml; rods of 1 kg and 0.5 m
-
-
-def rods(x: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The mass matrix (..., 7, 7) of the arm, its centrifugal forces and weight, its angles and rates (..., 7)."""
-    states, beyond = np.stack([np.asarray(part) for part in x], axis=-1), LINKS - 1.0 - np.arange(LINKS)
-    theta, omega = states[..., :LINKS], states[..., LINKS:]
-    coupled = 0.25 * (np.minimum.outer(beyond, beyond) + np.where(np.eye(LINKS) > 0, 1 / 3, 0.5))
-    apart = theta[..., :, None] - theta[..., None, :]
-    spun = (coupled * np.sin(apart) @ (omega**2)[..., None])[..., 0]
-    return coupled * np.cos(apart), spun + 9.81 * 0.5 * (beyond + 0.5) * np.sin(theta), theta, omega
-
-
-def swing(x: Any, u: Any) -> list[Any]:
-    """f of the arm: a motor at each joint, and friction that makes it stiff."""
-    mass, loads, _, omega = rods(x)
-    torque = np.stack(np.broadcast_arrays(*u, np.zeros_like(u[0])), axis=-1)
-    force = torque[..., :-1] - torque[..., 1:] - loads - FRICTION * omega
-    return [*np.moveaxis(omega, -1, 0), *np.moveaxis(np.linalg.solve(mass, force[..., None])[..., 0], -1, 0)]
-
-
-def computed_torque(x: Any, t: Any) -> list[Any]:
-    """The law of the arm, which follows r_i = 0.3 i + 0.1 sin(t + i) with stiffness and damping of 4."""
-    mass, loads, theta, omega = rods(x)
-    joint = np.arange(1.0, LINKS + 1)
-    turn = np.asarray(t)[..., None] + joint
-    error, speed = theta - 0.3 * joint - 0.1 * np.sin(turn), 0.1 * np.cos(turn)
-    pull = -0.1 * np.sin(turn) - 4 * error - 4 * (omega - speed)
-    force = loads + FRICTION * (speed - 2 * error) + (mass @ pull[..., None])[..., 0]
-    return list(np.moveaxis(np.cumsum(force[..., ::-1], axis=-1)[..., ::-1], -1, 0))
-
-
 SYSTEMS = {
     "activator_repressor": System(
         lambda x, u: [u[0] - x[0] + hill(x), (300.0 * x[0] ** 2 + 0.004) / (1.0 + x[0] ** 2) - 0.5 * x[1]],
@@ -144,7 +98,6 @@ SYSTEMS = {
         lambda x, u: [(haldane(x[1]) - 0.1 - u[0]) * x[0], u[0] * (16 / 3 - x[1]) - haldane(x[1]) * x[0]],
         lambda x, t: [0.3 * haldane(x[1]) * x[0] + np.where(x[1] < 2, np.abs(haldane(x[1]) - 1), 0.0) ** 1.5],
     ),
-    "planar_arm7": System(swing, computed_torque, LINKS * (1.0,)),
     "unicycle": System(lambda x, u: [u[1] * np.cos(x[2]), u[1] * np.sin(x[2]), u[0]], pomet, (0.25 / 0.6, 1.0)),
 }
 
@@ -202,10 +155,8 @@ def values(u: np.ndarray) -> np.ndarray:
         least = np.maximum(large / 8, large / 2 - np.maximum(*beside))
         q[j] = np.where(a * b > 0, np.sign(a) * np.minimum(least, np.minimum(np.abs(a), np.abs(b))), 0.0)
     low, high = u[:-1] + q[:-1], u[1:] - q[1:]
-    middle, most_steep = (
-        (low + high) / 2,
-        np.minimum(np.abs(low + high - 2 * u[:-1]), np.abs(2 * u[1:] - low - high)) / 2,
-    )
+    middle = (low + high) / 2
+    most_steep = np.minimum(np.abs(middle - u[:-1]), np.abs(u[1:] - middle))
     steep = np.clip(high - low, -most_steep, most_steep)
     return np.concatenate([u, middle - steep, middle + steep])
 
@@ -277,14 +228,11 @@ def by_dop853(system: System, X: np.ndarray, u: np.ndarray, D_hat: float, t: flo
                 W = weights(reading, nx, places, places.mean()) if (begin + until) / 2 < r else None
                 cubics.append(None if W is None else (powers @ W @ read[:, c]).tolist())
 
-            def f(
-                s: float, x: np.ndarray, begin: float = begin, h: float = h, cubics: list[Any] = cubics
-            ) -> list[float]:
+            def f(s: float, x: np.ndarray, begin=begin, h=h, cubics=cubics) -> list[float]:
                 v = [k and ((k[0] * s + k[1]) * s + k[2]) * s + k[3] for k in cubics]
                 law = system.kappa(x, t + begin * D_hat + s * h) if None in cubics else v
-                return [
-                    h * slope for slope in system.f(x.tolist(), [law[c] if k is None else k for c, k in enumerate(v)])
-                ]
+                slopes = system.f(x.tolist(), [law[c] if k is None else k for c, k in enumerate(v)])
+                return [h * slope for slope in slopes]
 
             x = solve_ivp(f, (0.0, 1.0), x, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
         at[1.0] = x
@@ -334,7 +282,7 @@ class Ranges:
         self.n, self.nx, self.m = guard.plant.n, guard.nx, guard.plant.m
         X, u, D_hat = (edges(a) for a in (data.X, data.u.reshape(-1, self.m), data.D_hat[:, None]))
         if states == "box":
-            X = np.array([guard.plant.box[name] for name in guard.plant.states]).T
+            X = harness.box(guard.plant)
         elif states == "domain":
             X, u, D_hat = reach(guard, u)
         clock = np.array([[0.0], [guard.plant.period or np.nanmax(data.t)]])[:, : int(guard.plant.clocked)]
@@ -520,13 +468,6 @@ class Search:
             best = self.evolve(self.climb(z, over)[:KEPT], z[self.rng.permutation(len(z))], over)
         self.count()
 
-    def recombine(self, count: int) -> None:
-        """Judge calls whose X, u, D_hat and time come from a row of the data each."""
-        while self.made < count:
-            rows = self.rng.integers(0, len(self.data), (4, min(count - self.made, PENDING)))
-            self.score(self.ranges.of_rows(self.data, *rows))
-        self.count()
-
     @np.errstate(all="ignore")
     def answers(self, count: int) -> np.ndarray:
         """The errors of U of the numerical predictor in those of so many calls that it answers."""
@@ -599,23 +540,11 @@ def most(rows: np.ndarray, others: np.ndarray, column: int, count: int) -> np.nd
     return both[np.argsort(-both[:, column])[:count]]
 
 
-def prepared(options: argparse.Namespace) -> Search:
-    """The search of one setting."""
-    network = npred.load(options.model, nx=options.nx, store=options.store, runtime="fused")
-    guard = Guarded(network, options.tolerance)
-    data = shards.survey(load_data(options.model.rpartition(":")[0], options.store).folder / "data.h5")
-    return Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
-
-
-def row(options: argparse.Namespace) -> list[str]:
-    """Search one setting: what the table says of it."""
-    search = prepared(options)
+def row(search: Search, options: argparse.Namespace) -> list[str]:
+    """What the table says of a search."""
     guard = search.guard
     judge(guard, search.system, search.ranges.calls(search.ranges.starts(search.rng, search.data, 2)))  # compiles
-    if options.recombined:
-        search.recombine(options.recombined)
-    else:
-        search.run(options.seconds, options.calls)
+    search.run(options.seconds, options.calls)
     errors, exact = search.confirmed()
     if options.output and len(exact):
         z = np.concatenate([search.worst, search.sample])
@@ -633,29 +562,19 @@ def row(options: argparse.Namespace) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", nargs="?", default=f"{PAPER}:deeponet")
-    parser.add_argument("--table", action="store_true", help="the settings of docs/guard.md, one after the other")
-    parser.add_argument("--nx", type=int, default=51)
-    parser.add_argument("--states", choices=STATES, default="box", help="where X comes from")
-    parser.add_argument("--tolerance", type=float, default=0.01)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of a search; its DOP853 comes after it")
-    parser.add_argument("--calls", type=float, default=np.inf, help="after which it ends too: the same on any machine")
-    parser.add_argument("--recombined", type=int, default=0, help="instead of a search so many rows of the data, mixed")
-    parser.add_argument("--answers", type=int, default=0, help="instead: errors of the numerical answers to such calls")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--store", type=Path, default=None)
-    parser.add_argument("--output", type=Path, help="a .npz for the calls that DOP853 looked at")
-    options = parser.parse_args()
+    options = harness.options(
+        __doc__, {"model": harness.PAPER}, nx=51, states=STATES, tolerance=0.01, seconds=60.0,
+        calls=np.inf, answers=0, seed=0, store=Path, output=Path,
+    )  # fmt: skip
+    guard, data = Guarded(harness.network(options), options.tolerance), harness.samples(options.model, options.store)
+    search = Search(guard, SYSTEMS[guard.plant.name], data, options.states, options.seed)
     if options.answers:
-        errors = prepared(options).answers(options.answers)
+        errors = search.answers(options.answers)
         above = f"{(errors > options.tolerance).mean():.2%} of them wrong by more than {options.tolerance:g}"
         print(f"{len(errors)} calls answered, {above}, the largest by {errors.max():.2g}")
         return
-    print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}", flush=True)
-    for setting in TABLE if options.table else [{}]:
-        cells = row(argparse.Namespace(**vars(options) | setting))
-        print(f"| {' | '.join(cells)} |", flush=True)
+    harness.head(*HEAD)
+    harness.row(*row(search, options))
 
 
 if __name__ == "__main__":

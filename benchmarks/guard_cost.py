@@ -8,10 +8,10 @@ microseconds, all contenders in turn. `doubted` is the share of held-out samples
 the numerical predictor answers. benchmarks/starts.py counts the loops that are lost.
 """
 
-import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+import harness
 import numpy as np
 
 import npred
@@ -19,9 +19,8 @@ from npred.base import grid
 from npred.base.registry import METHODS
 from npred.guard.guarded import Guarded
 from npred.kernels import kernel
-from npred.lab.scheduler.models import load_data, load_model
+from npred.lab.scheduler.models import load_model
 from npred.lab.stages.bench import candidates, timing
-from npred.lab.training.data import shards
 from npred.loop import metrics
 from npred.prediction.delays import problem
 from npred.prediction.methods import OneStep, Predictor, method
@@ -77,21 +76,15 @@ def estimates(guard: Guarded, data) -> None:
     print(f"  estimate over true error, {near.sum()} calls: {quantiles}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model")
-    parser.add_argument("--store", default=None)
-    parser.add_argument("--tolerance", type=float, default=0.01)
-    parser.add_argument("--nx", type=int, nargs="+", default=[101])
-    arguments = parser.parse_args()
-    store = Path(arguments.store) if arguments.store else None
-    stored = load_model(arguments.model, store)
-    data = shards.survey(load_data(arguments.model.rpartition(":")[0], store).folder / "data.h5").subset(test=True)
+if __name__ == "__main__":
+    arguments = harness.options(__doc__, {"model": ...}, store=Path, tolerance=0.01, nx=[101])
+    stored = load_model(arguments.model, arguments.store)
+    data = harness.samples(arguments.model, arguments.store).subset(test=True)
     reference = candidates.Reference.of(stored.plant, data)
     rivals = [k for k in map(method, METHODS.names()) if issubclass(k, OneStep)]
     rivals = [kind for kind in rivals if not npred.prediction.delays.problem_of(stored.plant).refusal(kind.name)]
     for nx in arguments.nx:
-        net = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=nx)
+        net = harness.network(arguments, nx)
         guard = Guarded(net, arguments.tolerance)
         eps = reference.errors(net, nx).sup
         runs: dict[str, Predictor] = {"bare": net, "guarded": guard, "fallback": guard.exact}
@@ -105,7 +98,3 @@ def main() -> None:
         for name, median in times.items():
             print(f"  {name}: {median:.1f} µs, {median / times['bare']:.2f} x bare")
         estimates(guard, data)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,7 @@
-"""What `npred.identify` says of simulated logs, beside three estimators re-implemented from their descriptions.
+"""What `npred.identify` says of simulated logs.
 
     python benchmarks/identification.py [clean] [disturbed] [structure] [closed] [periodic] [silent] [parameters]
-        [rivals] [time] [adversary] [--logs 200] [--only 17] [--calls 100] [--each] [--jobs 2]
+        [--logs 200] [--only 17] [--each] [--jobs 2]
 
 Prints Markdown tables. Errors and widths are in sampling periods, of every input's delay. An answer is certain where it
 calls the delay identifiable; a log that is refused has none. `missed` counts certain intervals without the truth, 1 in
@@ -12,20 +12,17 @@ certain answer whole periods off is false, and counted as `a period off` too. Lo
 be certain.
 """
 
-import argparse
 import multiprocessing
 import tempfile
 import time
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
-import cma
+import harness
 import numpy as np
-from delay_estimators import ESTIMATORS
-from simulated_logs import FREE, KINDS, Sample, excited, log_of
+from simulated_logs import KINDS, Sample, log_of
 
 from npred import plants
 from npred.identification.identify import identify
@@ -33,7 +30,6 @@ from npred.plants import Plant
 
 COUNTS = {"clean": 200, "disturbed": 200, "structure": 40, "closed": 40, "periodic": 20, "silent": 50,
           "parameters": 200}  # fmt: skip
-RIVALS_LONGEST = 50  # periods
 SLIGHT = 0.05  # periods
 # D (m,), interval (m, 2), certain (m,), the free parameters' values and intervals, words of a refusal
 Answer = namedtuple("Answer", "D interval certain parameters parameter_intervals words", defaults=({}, {}, ""))
@@ -70,14 +66,6 @@ def ours(log: Sample) -> Answer:
     return Answer(r.D, r.interval, r.identifiable, r.parameters, r.parameter_intervals)
 
 
-def rival(name: str, log: Sample) -> Answer:
-    """An estimator's answer; it knows that the delay is at most twice the longest one of these logs."""
-    plant, longest = plant_of(log.kind), RIVALS_LONGEST * log.period
-    rows = [ESTIMATORS[name](plant, log.t, log.U, log.X, j, longest) for j in range(plant.m)]
-    D, low, high, certain = (np.array(column) for column in zip(*rows, strict=True))
-    return Answer(D, np.stack([low, high], axis=1), certain)
-
-
 def judged(log: Sample, answer: Answer) -> list[Verdict]:
     """The verdict on each delay: see the top."""
     rows, T = [], log.period
@@ -102,11 +90,11 @@ def described(log: Sample, answer: Answer) -> str:
     return f"{log.kind}, {log.why}: truth {(log.D / log.period).round(2).tolist()}, answer {words}, {about}"
 
 
-def row(task: tuple[str, int], answer: Callable[[Sample], Answer]) -> tuple[str, list[Verdict], list[Any], float, str]:
+def row(task: tuple[str, int]) -> tuple[str, list[Verdict], list[Any], float, str]:
     """Log k of a set: its kind, verdicts, (held, relative error) of each free parameter, seconds, and words."""
     warnings.simplefilter("ignore")
     log, begin = log_of(*task), time.perf_counter()
-    said = answer(log)
+    said = ours(log)
     verdicts, seconds = judged(log, said), time.perf_counter() - begin
     free = [(low <= log.parameters[name] <= high, abs(said.parameters[name] / log.parameters[name] - 1))
             for name, (low, high) in said.parameter_intervals.items() if name in log.parameters]  # fmt: skip
@@ -114,22 +102,24 @@ def row(task: tuple[str, int], answer: Callable[[Sample], Answer]) -> tuple[str,
     return log.why, verdicts, free, seconds, f"{mark}{task[0]} {task[1]} {described(log, said)}, {seconds:.1f} s"
 
 
-def table(tasks: list[tuple[str, int]], mapped: Mapped, answer: Callable[[Sample], Answer], each: bool) -> None:
+def table(tasks: list[tuple[str, int]], mapped: Mapped, each: bool) -> None:
     """One row by kind of log and one in all; false answers, refusals and free parameters apart."""
     groups: dict[str, list[Any]] = {}
-    for one in mapped(partial(row, answer=answer), tasks):
+    for one in mapped(row, tasks):
         groups.setdefault(one[0], []).append(one)
-        if each or (answer is ours and one[-1].startswith(("FALSE", "REFUSED"))):
+        if each or one[-1].startswith(("FALSE", "REFUSED")):
             print(one[-1], flush=True)
-    print("| of | delays | refused | certain | missed | false | a period off | by most widths | median error "
-          "| 95 % below | intervals that hold | median width | s a delay |\n" + "|---" * 13 + "|")  # fmt: skip
+    counted = "delays", "refused", "certain", "missed", "false", "a period off", "by most widths", "median error"
+    harness.head("of", *counted, "95 % below", "intervals that hold", "median width", "s a delay")
     groups["all"] = [one for rows in groups.values() for one in rows]
     for why, rows in groups.items():
         v = Verdict(*np.array([v for one in rows for v in one[1]], dtype=float).T)
-        counts, error = " | ".join(f"{sum(column):.0f}" for column in v[:5]), np.array(v.error)
-        print(f"| {why} | {len(error)} | {counts} | {max(*v.widths, 0):.2f} | {np.nanmedian(error):.3f} | "
-              f"{np.nanquantile(error, 0.95):.2f} | {np.nanmean(v.held):.1%} | {np.nanmedian(v.width):.2f} | "
-              f"{sum(one[3] for one in rows) / len(error):.2f} |")  # fmt: skip
+        counts, error = [f"{sum(column):.0f}" for column in v[:5]], np.array(v.error)
+        harness.row(
+            why, len(error), *counts, f"{max(*v.widths, 0):.2f}", f"{np.nanmedian(error):.3f}",
+            f"{np.nanquantile(error, 0.95):.2f}", f"{np.nanmean(v.held):.1%}", f"{np.nanmedian(v.width):.2f}",
+            f"{sum(one[3] for one in rows) / len(error):.2f}",
+        )  # fmt: skip
     wrong = sum(any(v.false for v in one[1]) for one in groups["all"])
     print(f"false and certain: {wrong} of {len(groups['all'])} logs")
     for why, rows in groups.items():
@@ -139,83 +129,11 @@ def table(tasks: list[tuple[str, int]], mapped: Mapped, answer: Callable[[Sample
                   f"{np.median(error):.2%}, 95 % below {np.quantile(error, 0.95):.1%}", flush=True)  # fmt: skip
 
 
-def timed() -> None:
-    """Seconds for 1e5 rows and three free parameters."""
-    for name, free in (("motor", ("R", "k", "J")), ("tank", ("area", "outflow")), ("mixer", ("k", "c"))):
-        log = excited(name, np.random.default_rng(5), N=100_000, law="", noise=0.02)
-        for attempt in ("first", "second"):  # the first one compiles
-            begin, busy = time.perf_counter(), time.process_time()
-            r = identify(plant_of(name), log.t, log.U, log.X, free=free)
-            print(f"{name}, 1e5 rows, free {', '.join(free)}, {attempt} call: {time.perf_counter() - begin:.1f} s "
-                  f"({time.process_time() - busy:.1f} s of processor), error "
-                  f"{((r.D - log.D[:, 0]) / log.period).round(3)} periods, {r.parameters}", flush=True)  # fmt: skip
-
-
-LEVELS = {"clean": 6, "disturbed": 12, "structure": 17}  # how many numbers of a point are used
-
-
-def attacked(z: np.ndarray, name: str, seed: int, level: str) -> tuple[float, str]:
-    """By how many widths the answer about the log of a point z in [0, 1]^17 is off (-2: not certain), and the log.
-
-    Below the middle a disturbance or a structure is absent.
-    """
-    warnings.simplefilter("ignore")
-    z = np.where(np.arange(len(z)) < LEVELS[level], np.clip(z, 0, 1), 0.5).tolist()
-    hold, amplitude, noise, jitter, delay, share, *rest = z
-    push, pace, kind, grid, wild, colour, later, part, lag, drag, dead = (max(2 * v - 1, 0.0) for v in rest)
-    log = excited(
-        name, np.random.default_rng([99, seed]), level, N=500, hold=3 * 40**hold, amplitude=0.1 + 0.9 * amplitude,
-        noise=0.01 + 0.04 * noise, jitter=0.3 * jitter, off=0.03 * share, delays=2 + 23 * delay,
-        shape=("levels", "two", "sines", "two sines")[seed % 4], push=0.3 * push, push_period=5 * 20**pace,
-        push_kind=("sine", "noise", "drift")[min(int(3 * kind), 2)], resolution=0.3 * grid, outliers=0.03 * wild,
-        colour=0.95 * colour, later=20 * later, share=0.1 + 0.8 * part, lag=20 * lag, friction=0.3 * drag,
-        dead=0.3 * dead, free=() if level == "clean" else FREE[name][0],
-    )  # fmt: skip
-    answer = ours(log)
-    return float(max(v.widths for v in judged(log, answer))), described(log, answer)
-
-
-def adversary(name: str, seed: int, level: str, calls: int, mapped: Mapped) -> None:
-    """The log by CMA-ES whose interval misses D by most of its widths, while the answer says identifiable."""
-    settings = {"bounds": [0, 1], "seed": seed + 1, "verbose": -9, "popsize": 12}
-    search, tried = cma.CMAEvolutionStrategy(np.full(17, 0.5), 0.3, settings), []
-    while len(tried) < calls:
-        points = search.ask()
-        scores = list(mapped(partial(attacked, name=name, seed=seed, level=level), points))
-        search.tell(points, [-score for score, _ in scores])
-        tried += scores
-    counts = [sum(score > least for score, _ in tried) for least in (-2.0, 0.0, 0.5)]
-    words = " | ".join(map(str, [len(tried), *counts, f"{max(tried)[0]:.2f}", max(tried)[1]]))
-    print(f"| {name} | {level} | {words} |", flush=True)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", default=[*COUNTS, "rivals", "time", "adversary"])
-    parser.add_argument("--logs", type=int, default=1000, help="so many of each set at most")
-    parser.add_argument("--only", type=int, nargs="+", help="numbers of logs")
-    parser.add_argument("--calls", type=int, default=100, help="of the adversary, for each plant")
-    parser.add_argument("--each", action="store_true", help="print every log")
-    parser.add_argument("--jobs", type=int, default=1)
-    asked = parser.parse_args()
+if __name__ == "__main__":
+    asked = harness.options(__doc__, {"what": COUNTS}, logs=1000, only=[int], each=False, jobs=1)
     tasks = {what: [(what, k) for k in asked.only or range(min(n, asked.logs))] for what, n in COUNTS.items()}
     with multiprocessing.Pool(asked.jobs) as pool:
         mapped = pool.imap if asked.jobs > 1 else map
         for what in (name for name in COUNTS if name in asked.what):
             print(f"\n## {what}", flush=True)
-            table(tasks[what], mapped, ours, asked.each)
-        for name in ESTIMATORS if "rivals" in asked.what else ():
-            print(f"\n## {name}", flush=True)
-            table(tasks["clean"], mapped, partial(rival, name), asked.each)
-        if "time" in asked.what:
-            timed()
-        if "adversary" in asked.what:
-            names = "plant | logs | tried | certain | missed | false | by most widths | which"
-            print(f"| {names} |\n" + "|---" * 8 + "|", flush=True)
-            for level in LEVELS:
-                for seed, name in enumerate(("scalar, stable", "tank", "motor", "chemostat", "scalar, unstable")):
-                    adversary(name, seed, level, asked.calls, mapped)
-
-
-if __name__ == "__main__":
-    main()
+            table(tasks[what], mapped, asked.each)

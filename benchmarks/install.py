@@ -8,18 +8,17 @@ pip and setuptools, which are there before, count apart. Times of imports are me
 NumPy, which the names bring. With `--model`, a trained network of the store, the tasks are done with it too.
 """
 
-import argparse
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+import harness
 
 from npred.lab.report.terminal.console import columns
 
-ROOT = Path(__file__).parents[1]
 REPEATS = 9
 NAMES = "npred.plant, npred.predictor, npred.simulate, npred.controller, npred.guarded, npred.load"
 IMPORTS = {"import numpy": "import numpy", "import npred": "import npred", "and its names": f"import npred; {NAMES}"}
@@ -42,10 +41,8 @@ print(controller.step([0.03, 30.0], [[0.0]] * 101))
 
 def scripts(model: str, store: Path) -> dict[str, str]:
     """Python programs by what they do."""
-    with_model = (
-        {"load, fused, in a loop": LOAD + RUN, "guarded": LOAD + GUARD, "controller": LOAD + STEP} if model else {}
-    )
-    programs = {"simulate": SIMULATE, "plot": PLOT} | with_model
+    with_model = {"load, fused, in a loop": LOAD + RUN, "guarded": LOAD + GUARD, "controller": LOAD + STEP}
+    programs = {"simulate": SIMULATE, "plot": PLOT} | (with_model if model else {})
     return {task: text.replace("{model}", model).replace("{store}", str(store)) for task, text in programs.items()}
 
 
@@ -68,7 +65,7 @@ def megabytes(folder: Path) -> tuple[float, float]:
 def built(folder: Path) -> Path:
     """The wheel of this checkout, as a release has it."""
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps", "-w", folder]
-    subprocess.run([*pip, ROOT], check=True)
+    subprocess.run([*pip, harness.ROOT], check=True)
     (wheel,) = folder.glob("npred-*.whl")
     return wheel
 
@@ -76,17 +73,14 @@ def built(folder: Path) -> Path:
 def install(folder: Path, wheel: Path, extras: str, cached: bool) -> float:
     """A new environment; the seconds that pip takes."""
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
-    start = time.perf_counter()
     pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    subprocess.run([*pip, *([] if cached else ["--no-cache-dir"]), f"{wheel}{extras}"], check=True, cwd=folder)
-    return time.perf_counter() - start
+    words = [*pip, *([] if cached else ["--no-cache-dir"]), f"{wheel}{extras}"]
+    return harness.seconds(lambda: subprocess.run(words, check=True, cwd=folder))[0]
 
 
 def seconds(command: list[str], folder: Path) -> float:
     """The time of a process."""
-    start = time.perf_counter()
-    output(command, folder)
-    return time.perf_counter() - start
+    return harness.seconds(lambda: output(command, folder))[0]
 
 
 def output(command: list[str], folder: Path) -> str:
@@ -101,15 +95,10 @@ def import_seconds(python: str, text: str, folder: Path) -> float:
     return statistics.median(float(output([python, "-c", program], folder)) for _ in range(REPEATS))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--extra", action="append", default=[])
-    parser.add_argument("--model", default="")
-    parser.add_argument("--store", type=Path, default=Path("artifacts"))
-    parser.add_argument("--cached", action="store_true")
-    options = parser.parse_args()
-    path, colon, name = options.model.rpartition(":")
-    model = f"{Path(path).absolute()}{colon}{name}" if path else options.model
+if __name__ == "__main__":
+    options = harness.options(__doc__, extra=[], model="", store=Path("artifacts"), cached=False)
+    path, colon, part = options.model.rpartition(":")
+    model = f"{Path(path).absolute()}{colon}{part}" if path else options.model
     rows, tasks = [], []
     for extra in ["", *options.extra]:
         with tempfile.TemporaryDirectory() as temporary:
@@ -119,19 +108,13 @@ def main() -> None:
             python = str(folder / "bin" / "python")
             times = [f"{import_seconds(python, text, folder):.2f} s" for text in IMPORTS.values()]
             whole, added = megabytes(folder)
-            rows.append(
-                [f"npred[{extra}]" if extra else "npred", f"{whole:.0f}", f"{added:.0f}", f"{taken:.0f} s", *times]
-            )
+            name = f"npred[{extra}]" if extra else "npred"
+            rows.append([name, f"{whole:.0f}", f"{added:.0f}", f"{taken:.0f} s", *times])
             for task, text in scripts(model, options.store.absolute()).items():
-                tasks.append([rows[-1][0], task, f"{seconds([python, '-c', text], folder):.1f} s"])
+                tasks.append([name, task, f"{seconds([python, '-c', text], folder):.1f} s"])
             for task, words in commands(model, options.store.absolute()).items():
-                done = seconds([str(folder / "bin" / "npred"), *words], folder)
-                tasks.append([rows[-1][0], task, f"{done:.1f} s"])
+                tasks.append([name, task, f"{seconds([str(folder / 'bin' / 'npred'), *words], folder):.1f} s"])
     head = ["installation", "MB", "without pip, setuptools", "pip install", *IMPORTS]
     print(columns(head, rows, None, numbers=head[1:]))
     print("\nwhat works, as processes of their own (kernels compiled where the machine has none yet)\n")
     print(columns(["installation", "what", "time"], tasks, None, numbers=["time"]))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,21 +6,17 @@ Loops are without delay, from 64 starts of the plant's box, then of the box shru
 sentence is that of `npred plants check PLANT --kappa LAW`. A law that does not fit a plant says why.
 """
 
-import argparse
 import time
+
+import harness
 
 import npred
 from npred import diagnosis, plants
 from npred.diagnosis import Case
 
-
-def main() -> None:
-    """Print a line per plant and law, and how many converge from half the box."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("plants", nargs="*")
-    parser.add_argument("--laws", nargs="+", default=["lqr", "feedback_linearisation"])
-    options = parser.parse_args()
-    names, kept = options.plants or plants.names(), dict.fromkeys(options.laws, 0)
+if __name__ == "__main__":
+    options = harness.options(__doc__, {"plants": plants.names()}, laws=["lqr", "feedback_linearisation"])
+    names, kept = options.plants, dict.fromkeys(options.laws, 0)
     either = 0
     for name in names:
         plant, verdicts = npred.plant(name), []
@@ -34,7 +30,3 @@ def main() -> None:
     for law, count in kept.items():
         print(f"{law} converges from half the box, or more, for {count} of {len(names)} plants")
     print(f"one of these laws does for {either} of {len(names)}")
-
-
-if __name__ == "__main__":
-    main()

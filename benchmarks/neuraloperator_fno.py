@@ -52,8 +52,7 @@ def ours(runtime: str, config: FNO, nx: int):
     return lambda k: predict(X, u, D_hat, 0.0, plant.p, P)
 
 
-def main() -> None:
-    """Print medians in microseconds and ratios to neuraloperator's."""
+if __name__ == "__main__":
     torch.set_num_threads(1)
     config = FNO()
     print(f"width {config.width}, modes {config.modes}, layers {config.layers}; microseconds a call, median (p99.9)")
@@ -65,7 +64,3 @@ def main() -> None:
         base = found["neuraloperator"]["median_us"]
         for name, t in found.items():
             print(f"nx = {nx:4d}  {name:15s}{t['median_us']:9.1f} ({t['p999_us']:.1f})   {base / t['median_us']:.1f}x")
-
-
-if __name__ == "__main__":
-    main()

@@ -31,7 +31,6 @@ inputs above 100. Of each control step counts the least time of a few runs, whic
 call from Python, then for acados its own clock, which sees neither Python nor the prediction.
 """
 
-import argparse
 import contextlib
 import ctypes
 import io
@@ -40,13 +39,16 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import acados
 import casadi as ca
+import harness
 import numpy as np
-from limits import Arm, OfCasadi
+from limits import OfCasadi
+from plants import Arm, derived
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
@@ -68,23 +70,8 @@ for library in ("blasfeo", "hpipm", "qpOASES_e", "acados"):  # they do not find 
     ctypes.CDLL(f"{acados.LIB_DIR}/lib{library}.so", mode=ctypes.RTLD_GLOBAL)
 from acados.acados_template import AcadosOcp, AcadosOcpSolver  # noqa: E402  it reads the variables
 
-
-class Cart(cart_pole.CartPole):
-    """The track ends after 0.6 m."""
-
-    @staticmethod
-    def safe(x, t, p, M):
-        """Both ends."""
-        return [0.6 - x.p, 0.6 + x.p]
-
-
-class Aircraft(pvtol.PVTOL):
-    """The roll angle stays within 0.12 rad, which its law exceeds."""
-
-    @staticmethod
-    def safe(x, t, p, M):
-        """To either side."""
-        return [0.12 - x.theta, 0.12 + x.theta]
+ENDS = {"safe": lambda x, t, p, M: [0.6 - x.p, 0.6 + x.p]}  # of the cart's track
+ROLL = {"safe": lambda x, t, p, M: [0.12 - x.theta, 0.12 + x.theta]}  # of the aircraft, which its law exceeds
 
 
 @dataclass(frozen=True)
@@ -103,8 +90,8 @@ class Task:
 
 
 TASKS = {
-    "cart_pole": Task(npred.plant(Cart), 0.3, [(-3.0, 3.0)], 2),
-    "pvtol": Task(npred.plant(Aircraft), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 2),
+    "cart_pole": Task(npred.plant(derived("Cart", cart_pole.CartPole, **ENDS)), 0.3, [(-3.0, 3.0)], 2),
+    "pvtol": Task(npred.plant(derived("Aircraft", pvtol.PVTOL, **ROLL)), 0.2, [(0.0, 2.0), (-1.0, 1.0)], 2),
     "planar_arm2": Task(npred.plant(Arm), 0.1, [(-20.0, 20.0), (-10.0, 10.0)]),
 }
 
@@ -138,10 +125,7 @@ class Problem:
         def f(x: Any) -> Any:
             return ca.vertcat(*plant.call("f", ca.vertsplit(x), ca.vertsplit(u), 0.0, plant.p, M))
 
-        k1 = f(x)
-        k2 = f(x + h / 2 * k1)
-        k3 = f(x + h / 2 * k2)
-        following = ca.Function("following", [x, u, h], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(x + h * k3))])
+        following = ca.Function("following", [x, u, h], [harness.rk4(f, x, h)])
         self.plant, self.pending, self.bounded, self.converged = plant, task.pending, bounded, converged
         self.predict = following.mapaccum(task.pending)
 
@@ -283,13 +267,8 @@ def run(task: Task, step: Step, X: np.ndarray, delay: float, taken: list[float])
 
 def advanced(plant: Plant, X: np.ndarray, U: np.ndarray) -> np.ndarray:
     """A control step of the plant, by two steps of RK4."""
-    h, f = DT / 2, lambda x: plant.f(x, U)
-    for _ in range(2):
-        k1 = f(X)
-        k2 = f(X + h / 2 * k1)
-        k3 = f(X + h / 2 * k2)
-        X = X + h / 6 * (k1 + 2 * k2 + 2 * k3 + f(X + h * k3))
-    return X
+    f = partial(plant.f, u=U)
+    return harness.rk4(f, harness.rk4(f, X, DT / 2), DT / 2)
 
 
 def survived(task: Task, make: Callable[[], Step], starts: np.ndarray) -> str:
@@ -321,18 +300,11 @@ def timed(task: Task, make: Callable[[], Step], X: np.ndarray, runs: int) -> tup
     return loop, [1e6 * np.min(times, axis=0) for times in (calls, own)]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("plants", nargs="*", default=[*TASKS])
-    parser.add_argument("--starts", type=int, default=6)
-    parser.add_argument("--mismatch", type=int, default=1, help="starts of each wrong delay")
-    parser.add_argument("--runs", type=int, default=5, help="of each loop, for the time of its control steps")
-    arguments = parser.parse_args()
+if __name__ == "__main__":
+    arguments = harness.options(__doc__, {"plants": TASKS}, starts=6, mismatch=1, runs=5)
     for plant in arguments.plants:
         task = TASKS[plant]
-        box = np.array([task.limited.box[name] for name in task.limited.states])
-        size = (10 * arguments.starts, task.limited.n)
-        starts = randomness.generator(0, "nmpc").uniform(box[:, 0], box[:, 1], size)
+        starts = harness.starts(task.limited, 10 * arguments.starts, randomness.generator(0, "nmpc"))
         starts = starts[task.limited.safe(starts).min(axis=1) >= 0][: arguments.starts]
         for bounded in (False, True):
             print(f"{plant}, D = {task.D:g} s, {'inputs and states bounded' if bounded else 'nothing bounded'}")
@@ -345,12 +317,5 @@ def main() -> None:
                     for each in zip(*times, strict=True) if each[0].size
                 ]  # fmt: skip
                 delays = survived(task, make, starts[: arguments.mismatch])
-                print(
-                    f"  {name:22} {sum(ends)} of {len(ends)}  cost {np.median(costs):6.3f}"
-                    f"  beyond {most:.3f}  {'; its own clock '.join(said)}  {delays}",
-                    flush=True,
-                )
-
-
-if __name__ == "__main__":
-    main()
+                counts = f"{name:22} {sum(ends)} of {len(ends)}  cost {np.median(costs):6.3f}  beyond {most:.3f}"
+                print(f"  {counts}  {'; its own clock '.join(said)}  {delays}", flush=True)

@@ -2,12 +2,12 @@
 
     python benchmarks/pages.py [PAGES] [--list] [--only PATTERN] [--longest 600]
 
-Commands are the lines of blocks marked `sh` and the words in backticks that begin with `npred `, `make ` or
-`python benchmarks/`. Left out are those with an argument in capital letters, names of a command without one, and those
-that install, delete, or need a cluster. Each runs once, in a copy of the repository's files and those of the page, with
-the store NPRED_STORE or artifacts/. The figures of a command are the numbers with a decimal point or an exponent in its
-paragraph, list item or table row, and in what follows before the next command or heading. Each is looked for in what
-is printed:
+Commands are the lines of blocks marked `sh` and the words in backticks that begin with `npred `, `make `, `python
+benchmarks/` or `python tests/`. Left out are those with an argument in capital letters, names of a command without one,
+and those that install, delete, or need a cluster. Each runs once, in a copy of the repository's files and those of the
+page, with the store NPRED_STORE or artifacts/. The figures of a command are the numbers with a decimal point or an
+exponent in its paragraph, list item or table row, and in what follows before the next command or heading. Each is
+looked for in what is printed:
 
     reprinted    a number that rounds to it, or 100 times that number does, as of 0.012 for 1.2 %; for a timing (behind
                  it a unit as µs, ms, min, MB, or x) one within 25 %
@@ -18,7 +18,6 @@ It exits with 1 where a figure differs, and where a command fails or takes too l
 differ by right: a reader decides. It is run before each release.
 """
 
-import argparse
 import os
 import re
 import shlex
@@ -32,9 +31,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parents[1]
-INLINE = re.compile(r"`((?:npred |python benchmarks/|make )[^`]*)`")
-BEGINS = ("npred ", "python benchmarks/", "make ")
+from harness import ROOT, options
+
+BEGINS = ("npred ", "python benchmarks/", "python tests/", "make ")
+INLINE = re.compile(rf"`((?:{'|'.join(BEGINS)})[^`]*)`")
 LEFT = re.compile(r"make (-C \S+ )?(all|install|dev|clean|constraints|test|docs|check)\b|npred gc|.*dask:")
 OPEN = re.compile(r"(?<![\w.:-])[A-Z][A-Z_]+(?![\w=.])|…|\.\.\.")  # an argument that the reader fills in
 NUMBER = re.compile(r"(?<![\w.,])[-−+]?(?:\d+\.?\d*|\.\d+)(?:e[-−+]?\d+)?", re.IGNORECASE)
@@ -148,13 +148,8 @@ def copied(folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     every = [ROOT / "README.md", ROOT / "benchmarks" / "README.md", *sorted((ROOT / "docs").glob("**/[a-z]*.md"))]
-    parser.add_argument("pages", nargs="*", type=Path, default=every)
-    parser.add_argument("--list", action="store_true", help="say the commands, and run none")
-    parser.add_argument("--only", default="", metavar="PATTERN", help="a regular expression of commands")
-    parser.add_argument("--longest", type=float, default=600.0, metavar="SECONDS", help="of a command")
-    asked = parser.parse_args()
+    asked = options(__doc__, {"pages": every}, list=False, only="", longest=600.0)
     outcomes, totals = dict[str, tuple[int, str]](), Counter[str]()
     with tempfile.TemporaryDirectory() as scratch:
         copied(Path(scratch))

@@ -10,32 +10,16 @@ errors: where the output ends with a load and a gain that the model does not kno
 integral: the overshoot of an integral of the error that is a state of the plant.
 """
 
-import sys
 from dataclasses import replace
+
+import harness
+from plants import Integral, Lag
 
 import npred
 from npred.diagnosis import pi
 from npred.diagnosis.case import Case
 
 STEP, RATIOS, WEIGHTS = 0.4, (0.2, 1.0, 4.0), (1.0, 0.3, 0.1, 0.03, 0.01)
-
-
-class Lag:
-    """T x' = -x + K u."""
-
-    states, inputs = ("x",), ("u",)
-    parameters = {"T": 1.0, "K": 1.0, "aim": 1.0}
-    box, input_bounds = {"x": (0.0, 2.0)}, ((0.0, 4.0),)
-    f = lambda x, u, t, p, M: [(p.K * u.u - x.x) / p.T]  # noqa: E731
-    setpoint = lambda x, t, p, M: [x.x - p.aim]  # noqa: E731
-
-
-class Integral:
-    """The same with the integral of the error as a second state."""
-
-    states, inputs = ("x", "xi"), ("u",)
-    guess, box = (1.0, 0.0), {"x": (0.0, 2.0), "xi": (-1.0, 1.0)}
-    f = lambda x, u, t, p, M: [u.u - x.x, x.x - 1]  # noqa: E731
 
 
 def plant(R: float) -> npred.plants.Plant:
@@ -72,9 +56,8 @@ def errors() -> None:
                     disturbance=lambda t, push=push: [push], observer=npred.observers.EKF(one, offset=offset),
                 )  # fmt: skip
                 ends.append(run.X[-1, 0] - 1.0)
-            print(
-                f"D = {D:g}, {what:16}: the output ends {ends[0]:+.3f} off, with offset=True {ends[1]:+.1e}", flush=True
-            )
+            off = f"the output ends {ends[0]:+.3f} off, with offset=True {ends[1]:+.1e}"
+            print(f"D = {D:g}, {what:16}: {off}", flush=True)
 
 
 def integral() -> None:
@@ -93,6 +76,5 @@ def integral() -> None:
 
 
 if __name__ == "__main__":
-    parts = {f.__name__: f for f in (steps, errors, integral)}
-    for name in sys.argv[1:] or parts:
-        parts[name]()
+    for part in harness.chosen(__doc__, steps, errors, integral):
+        part()

@@ -6,48 +6,15 @@ All loops are npred.simulate's on a real clock, 64 starts of the plant's box. A 
 numbers, or ends further from its target than its box is wide. Distances are in half widths of the box.
 """
 
-import argparse
-
+import harness
 import numpy as np
+from plants import Climber, DCMotor
 
 import npred
 from npred.plants import Plant
 
 LOOPS, NX, BAND = 64, 41, 0.1
 FOURTEEN_BITS = 2 * np.pi / 2**14  # of an encoder's turn
-
-
-class DCMotor:
-    """Angle, speed and current of a motor of 10 g m², driven by its voltage."""
-
-    states, inputs = ("angle", "speed", "current"), ("voltage",)
-    parameters = {"J": 0.01, "b": 0.1, "K": 0.01, "R": 1.0, "L": 0.5}
-    box = {"angle": (-1.0, 1.0), "speed": (-1.0, 1.0), "current": (-1.0, 1.0)}
-
-    def f(x, u, t, p, M):
-        """The dynamics."""
-        return [x.speed, (p.K * x.current - p.b * x.speed) / p.J, (u.voltage - p.R * x.current - p.K * x.speed) / p.L]
-
-    def kappa(x, t, p, M):
-        """A linear law."""
-        return [-20 * x.angle - 2 * x.speed - x.current]
-
-
-class Climber:
-    """Height and speed of an aircraft of 1 kg that climbs by its thrust; it is to hover at 2 m."""
-
-    states, inputs = ("z", "v"), ("thrust",)
-    parameters = {"gravity": 9.81}
-    box = {"z": (1.0, 3.0), "v": (-1.0, 1.0)}
-    guess = (2.0, 0.0)
-
-    def f(x, u, t, p, M):
-        """The dynamics."""
-        return [x.v, u.thrust - p.gravity]
-
-    def kappa(x, t, p, M):
-        """The weight, and a linear law."""
-        return [p.gravity - (x.z - 2.0) - 2 * x.v]
 
 
 # plant, dt, D, seconds, whether D is unknown too
@@ -63,16 +30,13 @@ SHIFT = 0.37  # control steps: candidates of the delay are whole ones
 
 def starts(plant, share=1.0):
     """64 states, of a part of the box around its middle."""
-    low, high = np.array([plant.box[name] for name in plant.states]).T
-    middle, half = (low + high) / 2, share * (high - low) / 2
-    return np.random.default_rng(0).uniform(middle - half, middle + half, (LOOPS, plant.n))
+    (low, high), half = harness.box(plant), share * harness.half_widths(plant)
+    return np.random.default_rng(0).uniform((low + high) / 2 - half, (low + high) / 2 + half, (LOOPS, plant.n))
 
 
 def distance(plant, run):
     """From the target, (loops, times)."""
-    low, high = np.array([plant.box[name] for name in plant.states]).T
-    target = plant.target(0.0)
-    return np.abs((run.X - target) / ((high - low) / 2)).max(axis=-1)
+    return np.abs((run.X - plant.target(0.0)) / harness.half_widths(plant)).max(axis=-1)
 
 
 def is_lost(plant, run):
@@ -90,10 +54,8 @@ def settling(plant, run):
 
 def timing():
     """±30 % jitter, 5 % of samples and of commands lost, samples ten control steps late."""
-    print(
-        "| plant | D | lost, ideal | lost | that ideal keeps | worst error of D̂, ideal | worst error of D̂ | allowed |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
+    errors = "worst error of D̂, ideal", "worst error of D̂", "allowed"
+    harness.head("plant", "D", "lost, ideal", "lost", "that ideal keeps", *errors)
     for name, (plant, dt, D, seconds, unknown) in PLANTS.items():
         D, predictor = D + SHIFT * dt, npred.predictor(plant, "rk4", nx=NX)
         for law in [None, npred.DelayObserver(bounds=(0.25 * D, 2 * D))] if unknown else [None]:
@@ -111,13 +73,13 @@ def timing():
             errors = [f"{1e3 * np.abs(run.D_hat[:, -1] - D).max():.2f} ms" if law else "" for run in (ideal, real)]
             allowed = f"{1e3 * (dt + 0.02 * D):.2f} ms" if law else ""
             row = [name, "unknown" if law else "known", lost[0].sum(), lost[1].sum(), (lost[1] & ~lost[0]).sum()]
-            print("|", " | ".join(map(str, [*row, *errors, allowed])), "|", flush=True)
+            harness.row(*row, *errors, allowed)
 
 
 def stops():
     """200 ms without samples, 50 times a minute; the watchdog waits 100 ms."""
-    print("| plant | then | lost | handed over | exactly where samples are too old | largest step of U then | jump |")
-    print("|---|---|---|---|---|---|---|")
+    exactly = "exactly where samples are too old"
+    harness.head("plant", "then", "lost", "handed over", exactly, "largest step of U then", "jump")
     for name, jump in (("scalar", 0.01), ("DC motor", 0.05), ("cart-pole", 0.1)):
         plant, dt, D, seconds, _ = PLANTS[name]
         for label, then in {"hold": "hold", "zero": "zero", "law": plant.declaration.kappa}.items():
@@ -131,13 +93,13 @@ def stops():
             near = handed[:, 1:] | handed[:, :-1]
             as_declared = (handed == (run.clock.age > 0.1)).all()
             row = [name, label, is_lost(plant, run).sum(), f"{100 * handed.mean():.1f} %", as_declared]
-            print("|", " | ".join(map(str, [*row, f"{step[near].max():.4f}", jump])), "|", flush=True)
+            harness.row(*row, f"{step[near].max():.4f}", jump)
 
 
 def unmeasured():
     """From some states alone, quantised, against the full state; both on the clock of `timing`."""
-    print("| plant | measured in steps of | lost | settles, full state | settles | ratio, median | ratio, largest |")
-    print("|---|---|---|---|---|---|---|")
+    settles = "settles, full state", "settles", "ratio, median", "ratio, largest"
+    harness.head("plant", "measured in steps of", "lost", *settles)
     cases = {
         "chemostat": (npred.plant("chemostat"), 0.01, 0.5, 30.0, ("S",), [0.01]),
         "cart-pole": (npred.plant("cart_pole"), 0.001, 0.1, 20.0, ("p", "theta"), [0.0001, FOURTEEN_BITS]),
@@ -158,15 +120,13 @@ def unmeasured():
         times = settling(plant, full), settling(plant, part)
         ratio = times[1] / times[0]
         row = [name, ", ".join(f"{s} {r:.2g}" for s, r in zip(outputs, resolution, strict=True))]
-        row += [f"{is_lost(plant, part).sum()}"]
-        row += [f"{np.nanmedian(time):.2f} s" for time in times] + [f"{np.nanmedian(ratio):.3f}", f"{ratio.max():.3f}"]
-        print("|", " | ".join(row), "|", flush=True)
+        row += [is_lost(plant, part).sum(), *(f"{np.nanmedian(time):.2f} s" for time in times)]
+        harness.row(*row, f"{np.nanmedian(ratio):.3f}", f"{ratio.max():.3f}")
 
 
 def offset():
     """Gravity 10 % above the model's, without and with the offset observed, on the clock of `timing`."""
-    print("| plant | steady error without | with EKF(offset=True) | share |")
-    print("|---|---|---|---|")
+    harness.head("plant", "steady error without", "with EKF(offset=True)", "share")
     plant, dt, D = Plant("climber", Climber), 0.005, 0.2
     heavier = Plant("climber", Climber, {"gravity": 1.1 * 9.81})
     errors = []
@@ -178,14 +138,10 @@ def offset():
             observer=npred.observers.EKF(plant, offset=True) if observes else None,
         )  # fmt: skip
         errors.append(np.abs(run.X[:, -100:, 0].mean(axis=1) - 2.0).max())
-    print("|", " | ".join(["climber", *(f"{e:.2e} m" for e in errors), f"{100 * errors[1] / errors[0]:.3f} %"]), "|")
+    harness.row("climber", *(f"{e:.2e} m" for e in errors), f"{100 * errors[1] / errors[0]:.3f} %")
 
-
-TABLES = {"timing": timing, "stops": stops, "unmeasured": unmeasured, "offset": offset}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("tables", nargs="*", help=", ".join(TABLES))
-    for table in parser.parse_args().tables or TABLES:
-        TABLES[table]()
+    for table in harness.chosen(__doc__, timing, stops, unmeasured, offset):
+        table()
         print()

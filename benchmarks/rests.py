@@ -2,7 +2,7 @@
 
     python benchmarks/rests.py [--exported 1] [--plants NAME ...]
 
-Each of the forty plants of rest_plants.py is asked for 20 set-points that it can hold and 10 that it cannot, one after
+Each of the forty plants of plants.py is asked for 20 set-points that it can hold and 10 that it cannot, one after
 the other, in s, ms, min and h, and with its states times 1e9 and 1e-9. SciPy's bounded least squares decides which is
 which, from five starts, in the plant's own units; those that it leaves open are not asked. It prints how many of the
 one kind are refused, and of the other taken; the largest error of the rests against SciPy's, as a share of the box; and
@@ -10,7 +10,6 @@ the largest difference of U, as a share of its bounds, between a controller, its
 `exported` of each plant's units.
 """
 
-import argparse
 import tempfile
 from collections import namedtuple
 from collections.abc import Iterable
@@ -19,9 +18,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rest_plants import MODELS, Model
+from harness import InC, InFmu, options
+from plants import MODELS, Model
 from scipy.optimize import least_squares
-from setpoints import InC, InFmu, tried
+from setpoints import tried
 
 import npred
 from npred.plants import Plant, setpoint
@@ -136,11 +136,8 @@ def declared(truth: Truth, unit: str) -> tuple[Any, np.ndarray, np.ndarray]:
         "guess": tuple(truth.guess[: truth.n] * [*sizes.values()]), "f": f, "setpoint": setpoint,
         "parameters": {f"aim_{name}": value * of_aims[name] for name, value in first.items()},
     }  # fmt: skip
-    return (
-        type("Declared", (), parts),
-        np.array([*sizes.values(), *[1.0] * len(model.inputs)]),
-        np.array([*of_aims.values()]),
-    )
+    inputs = [1.0] * len(model.inputs)
+    return type("Declared", (), parts), np.array([*sizes.values(), *inputs]), np.array([*of_aims.values()])
 
 
 class Counted(NamedTuple):
@@ -195,23 +192,16 @@ def counted(truth: Truth, unit: str, exported: bool, setpoints: Iterable[Asked] 
     return total
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--exported", type=int, default=1, help="of how many units of each plant C and an FMU are made")
-    parser.add_argument("--plants", nargs="+", default=list(MODELS), choices=MODELS, metavar="NAME")
-    options = parser.parse_args()
+if __name__ == "__main__":
+    asked = options(__doc__, exported=1, plants=MODELS)
     print(f"{'plant':26} refused  taken    error  U apart")
     total = Counted()
-    for k, name in enumerate(options.plants):
+    for k, name in enumerate(asked.plants):
         truth, units = Truth(MODELS[name]), [*UNITS]
         units = units[k % len(units) :] + units[: k % len(units)]  # each plant is exported in others
-        row = sum((counted(truth, unit, j < options.exported) for j, unit in enumerate(units)), start=Counted())
+        row = sum((counted(truth, unit, j < asked.exported) for j, unit in enumerate(units)), start=Counted())
         total += row
         print(f"{name:26} {row.refused:7} {row.taken:6} {row.error:8.1e} {row.apart:8.1e}", flush=True)
-    asked = len(options.plants) * len(UNITS)
+    count = len(asked.plants) * len(UNITS)
     print(f"{'all':26} {total.refused:7} {total.taken:6} {total.error:8.1e} {total.apart:8.1e}")
-    print(f"of {asked * HELD} that can be held and {asked * NOT_HELD} that cannot")
-
-
-if __name__ == "__main__":
-    main()
+    print(f"of {count * HELD} that can be held and {count * NOT_HELD} that cannot")

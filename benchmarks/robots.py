@@ -6,12 +6,12 @@ For each file the joints, the inputs, and the largest relative difference of mas
 bounds at 5 random states, or the line that refuses it. A tree that asks whether it is mounted is taken as if it were.
 """
 
-import argparse
 import re
 import warnings
 from collections import Counter
 from pathlib import Path
 
+import harness
 import mujoco
 import numpy as np
 import pinocchio
@@ -128,12 +128,9 @@ def row(path: Path) -> tuple[str, str]:
     return outcome, f"{plant.n // 2} joints, {plant.m} inputs, {worst:.0e}"
 
 
-def main() -> None:
-    """Print the table of a folder's files, each content once, and the totals."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+if __name__ == "__main__":
     warnings.simplefilter("ignore")
-    folder, totals = parser.parse_args().folder, Counter[str]()
+    folder, totals = harness.options(__doc__, {"folder": Path}).folder, Counter[str]()
     paths = [path for path in folder.rglob("*") if path.suffix in (".urdf", ".xml") and path.is_file()]
     texts = {path.read_bytes(): path for path in sorted(paths, reverse=True)}
     for text, path in sorted(texts.items(), key=lambda item: item[1]):
@@ -142,7 +139,3 @@ def main() -> None:
             totals[outcome] += 1
             print(f"{path.relative_to(folder)!s:60}  {outcome}: {words}", flush=True)
     print(", ".join(f"{outcome} {count}" for outcome, count in totals.most_common()), f"of {totals.total()} files")
-
-
-if __name__ == "__main__":
-    main()

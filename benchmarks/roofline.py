@@ -11,11 +11,10 @@ the call itself. The chain of a product of K terms is K multiply-adds, one after
 its scaling, polynomial and division.
 """
 
-import argparse
 import ctypes
 from collections.abc import Iterable
-from pathlib import Path
 
+import harness
 import numpy as np
 
 import npred
@@ -84,15 +83,13 @@ def products(operations: Iterable[Operation]) -> int:
 
 def waits(operations: Iterable[Operation]) -> int:
     """The instructions of some operations that wait for each other."""
-    total = 0
-    for operation in operations:
-        if isinstance(operation, Repeat):
-            total += operation.count * waits(operation.operations)
-        elif isinstance(operation, Product | Dots):
-            total += operation.shape[1]
-        elif isinstance(operation, Silu | SiluPair):
-            total += PAIR if isinstance(operation, SiluPair) else SILU
-    return total
+    return sum(
+        operation.count * waits(operation.operations) if isinstance(operation, Repeat)
+        else operation.shape[1] if isinstance(operation, Product | Dots)
+        else PAIR if isinstance(operation, SiluPair)
+        else SILU if isinstance(operation, Silu) else 0
+        for operation in operations
+    )  # fmt: skip
 
 
 def report(spec: str, store: str | None, nx: int) -> None:
@@ -126,17 +123,9 @@ def measured(net: npred.Predictor, nx: int) -> float:
     return timing.quantiles(taken["call"])["median_us"]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("models", nargs="+")
-    parser.add_argument("--store", default=None)
-    parser.add_argument("--nx", type=int, nargs="+", default=[101])
-    arguments = parser.parse_args()
+if __name__ == "__main__":
+    arguments = harness.options(__doc__, {"models": []}, store=str, nx=[101])
     print(devices.hardware("cpu")["cpu"])
     for spec in arguments.models:
         for nx in arguments.nx:
-            report(spec, arguments.store and str(Path(arguments.store)), nx)
-
-
-if __name__ == "__main__":
-    main()
+            report(spec, arguments.store, nx)

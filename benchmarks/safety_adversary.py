@@ -10,14 +10,13 @@ written here anew. A candidate that is not promised counts by how far h is below
 Printed are the loops, those that are promised, and the least h over the size among these.
 """
 
-import argparse
 import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import cma
+import harness
 import numpy as np
 from limits import Case, cases
 from scipy.integrate import solve_ivp
@@ -74,11 +73,7 @@ def clock(x: Any, u: Any) -> list[Any]:
 
 SYSTEMS = {
     "cart": System(lambda x, u: [x[1], u[0]], lambda x: [0.25 - x[0], 0.25 + x[0]], [(-1.0, 1.0)]),
-    "arm": System(
-        arm,
-        lambda x: [0.37 - x[0], x[0] + 0.05, 0.9 - x[1], x[1] - 0.25],
-        [(0.0, 7.0), (-1.0, 4.0)],
-    ),
+    "arm": System(arm, lambda x: [0.37 - x[0], x[0] + 0.05, 0.9 - x[1], x[1] - 0.25], [(0.0, 7.0), (-1.0, 4.0)]),
     "tank": System(tank, lambda x: [24.0 - x[1], x[1] - 16.0], [(-5.0, 15.0)]),
     "aircraft": System(aircraft, lambda x: [0.25 - x[2], 0.25 + x[2]], [(0.5, 1.5), (-0.5, 0.5)]),
     "pole": System(pole, lambda x: [0.6 - x[0], 0.6 + x[0]], [(-5.0, 5.0)]),
@@ -118,9 +113,8 @@ def replayed(case: Case, system: System, X0: np.ndarray, D: float, before: np.nd
 
 def score(case: Case, system: System, z: np.ndarray) -> tuple[float, bool]:
     """The least h over the limit's size, and whether the loop starts inside the promised set; else how far outside."""
-    plant, n = case.plant, case.plant.n
-    box = np.array([plant.box[name] for name in plant.states])
-    X0, delay, share = box[:, 0] + z[:n] * np.ptp(box, axis=1), case.D + case.delay * (2 * z[n] - 1), z[n + 1 :]
+    plant, n, (least, most) = case.plant, case.plant.n, harness.box(case.plant)
+    X0, delay, share = least + z[:n] * (most - least), case.D + case.delay * (2 * z[n] - 1), z[n + 1 :]
     low, high = np.array(system.before).T
     before = low + share.reshape(PIECES, -1) * (high - low)
     named = {
@@ -140,36 +134,27 @@ def search(case: Case, seconds: float, seed: int) -> str:
     """Populations from random centres until the time is over: a line on the worst."""
     system, rng, ends = SYSTEMS[case.plant.name.lower()], np.random.default_rng(seed), time.monotonic() + seconds
     size, loops, inside, worst = case.plant.n + 1 + PIECES * case.plant.m, 0, 0, (np.inf, np.zeros(0))
+
+    def scores(points: list[np.ndarray]) -> list[float]:
+        nonlocal loops, inside, worst
+        values = [score(case, system, z) for z in points]
+        loops, inside = loops + SIZE, inside + sum(counts for _, counts in values)
+        for (value, counts), z in zip(values, points, strict=True):
+            worst = (value, z) if counts and value < worst[0] else worst
+        return [value for value, _ in values]
+
     while time.monotonic() < ends:
-        settings = {"bounds": [0, 1], "popsize": SIZE, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
-        evolution = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, size), WIDTH, settings)
-        for _ in range(GENERATIONS):
-            points = evolution.ask()
-            values = [score(case, system, z) for z in points]
-            evolution.tell(points, [value for value, _ in values])
-            loops, inside = loops + SIZE, inside + sum(counts for _, counts in values)
-            for (value, counts), z in zip(values, points, strict=True):
-                worst = (value, z) if counts and value < worst[0] else worst
-            if time.monotonic() > ends or evolution.stop():
+        begins = int(rng.integers(1, 2**31)), rng.uniform(0.2, 0.8, size)
+        for k, stops in enumerate(harness.evolve(scores, begins[1], WIDTH, SIZE, begins[0]), start=1):
+            if k == GENERATIONS or stops or time.monotonic() > ends:
                 break
     least, z = worst[0], worst[1].round(6).tolist()
     return f"{case.plant.name:9} loops {loops:5}, promised {inside:5}, least h / size {least:9.2e} at {z}"
 
 
-def main() -> None:
-    """Print a line per plant."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--plant", choices=SYSTEMS, default=None)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--known", action="store_true")
-    options = parser.parse_args()
-    for name, case in cases().items():
-        if name in SYSTEMS and options.plant in (None, name):
-            print(
-                search(replace(case, delay=0.0) if options.known else case, options.seconds, options.seed), flush=True
-            )
-
-
 if __name__ == "__main__":
-    main()
+    asked = harness.options(__doc__, plant=SYSTEMS, seconds=60.0, seed=0, known=False)
+    for name, case in cases().items():
+        if name in asked.plant:
+            case = replace(case, delay=0.0) if asked.known else case
+            print(search(case, asked.seconds, asked.seed), flush=True)

@@ -8,7 +8,6 @@ processes share count twice. Exit 1 where it passes 4 GiB. Processor seconds are
 A straight line, start + slope N, is fitted to them from 10^5 samples on; the misfit says how straight they are.
 """
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -19,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
 
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, write
@@ -52,21 +52,20 @@ class Cost:
     resident: int
     stored: int
 
-    def line(self) -> str:
-        """As a row of Markdown."""
-        seconds = f"{self.wall:.1f} | {self.processor:.1f} | {self.processor / self.samples * 1e6:.1f}"
-        sizes = f"{self.resident / 2**30:.2f} | {self.stored / 1e9:.2f}"
-        return f"| {self.samples:.0e} | {COMMANDS[self.command]} | {seconds} | {sizes} |"
+    def cells(self) -> list[str]:
+        """Of a table."""
+        seconds = f"{self.wall:.1f}", f"{self.processor:.1f}", f"{self.processor / self.samples * 1e6:.1f}"
+        sizes = f"{self.resident / 2**30:.2f}", f"{self.stored / 1e9:.2f}"
+        return [f"{self.samples:.0e}", COMMANDS[self.command], *seconds, *sizes]
 
 
 def measure(samples: int, command: str, folder: Path, jobs: int) -> Cost:
     """Run one command of npred to its end."""
     sets = [f"generate.samples={samples}", f"generate.rollouts={samples // SHARE}", "train.deeponet.epochs=1"]
     words = [sys.executable, "-m", "npred", command, "scale.toml", "--store", "store", "--jobs", str(jobs), "-q"]
+    words += [word for one in sets for word in ("--set", one)]
     before, start, most = os.times(), time.perf_counter(), 0
-    running = subprocess.Popen(
-        [*words, *(w for s in sets for w in ("--set", s))], cwd=folder, stdout=subprocess.DEVNULL
-    )
+    running = subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL)
     while running.poll() is None:
         most = max(most, sum(map(resident, family(running.pid))))
         time.sleep(0.2)
@@ -124,12 +123,9 @@ def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
         axis.set(xlabel="samples", ylim=(0, None))
         log(axis, "x")
 
+    title = "Processor time a sample, µs; the lines are straight in N"
     panels = (
-        Panel(
-            "Processor time a sample, µs; the lines are straight in N",
-            "Processor microseconds a sample against samples.",
-            times,
-        ),
+        Panel(title, "Processor microseconds a sample against samples.", times),
         Panel("Memory of all processes, GiB", "Gibibytes against samples.", memory),
     )
     keys = tuple(LegendEntry(COMMANDS[command], look) for command, look in looks.items())
@@ -137,26 +133,21 @@ def draw(costs: dict[str, list[Cost]], folder: Path) -> None:
     write(Figure("scale", "What a sample costs", "From 10⁴ to 10⁷ samples.", panels, keys), folder, style)
 
 
-def main() -> None:
-    """Print a line a command as it ends, then the slopes; draw; judge the memory."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("samples", nargs="*", type=lambda text: int(float(text)), default=SIZES)
-    parser.add_argument("--folder", type=Path, default=None)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--figures", type=Path, default=Path("docs/figures"))
-    asked = parser.parse_args()
+if __name__ == "__main__":
+    places = {"samples": [float(size) for size in SIZES]}
+    asked = harness.options(__doc__, places, folder=Path, jobs=2, figures=Path("docs/figures"))
     if sum(samples >= FIRST for samples in asked.samples) < 3:
-        parser.error(f"expected at least three sizes from {FIRST:.0e} on, for the straight line")
-    header = ("samples", "what", "seconds", "processor seconds", "µs a sample", "memory, GiB", "stored, GB")
-    print("| " + " | ".join(header) + " |\n|" + "---|" * len(header), flush=True)
+        sys.exit(f"expected at least three sizes from {FIRST:.0e} on, for the straight line")
+    seconds = "seconds", "processor seconds", "µs a sample"
+    harness.head("samples", "what", *seconds, "memory, GiB", "stored, GB")
     costs: dict[str, list[Cost]] = {command: [] for command in COMMANDS}
-    for samples in (asked.samples[0], *asked.samples):  # the first compiles, and is not kept
+    for samples in map(int, (asked.samples[0], *asked.samples)):  # the first compiles, and is not kept
         folder = Path(tempfile.mkdtemp(dir=asked.folder))
         (folder / "scale.toml").write_text(PIPELINE)
         try:
             for command in COMMANDS:
                 costs[command].append(measure(samples, command, folder, asked.jobs))
-                print(costs[command][-1].line(), flush=True)
+                harness.row(*costs[command][-1].cells())
         finally:
             shutil.rmtree(folder)
     costs = {command: row[1:] for command, row in costs.items()}
@@ -167,7 +158,3 @@ def main() -> None:
     most = max(cost.resident for row in costs.values() for cost in row)
     print(f"memory: {most / 2**30:.2f} GiB at most, of {LIMIT / 2**30:.0f}")
     sys.exit(most > LIMIT)
-
-
-if __name__ == "__main__":
-    main()

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from plants import declared
 from scipy.signal import lfilter
 
 from npred.plants.builtin.chemostat import Chemostat
@@ -25,23 +26,17 @@ M = SimpleNamespace(
 SUBSTEPS = 3  # of RK4 in a period
 
 
-def declared(name: str, states: str, inputs: str, parameters: dict[str, float], box: Any, f: Any) -> Any:
-    """A plant's declaration in one line."""
-    parts = {"states": tuple(states.split()), "inputs": tuple(inputs.split()), "parameters": parameters}
-    return type(name, (), parts | {"box": dict(zip(states.split(), box, strict=True)), "f": staticmethod(f)})
-
-
 Motor = declared(  # with direct current: current i, speed w, voltage v
-    "Motor", "i w", "v", {"L": 0.05, "R": 1.0, "k": 0.5, "J": 0.05, "b": 0.05}, [(-1, 1), (-2, 2)],
-    lambda x, u, t, p, M: [(u.v - p.R * x.i - p.k * x.w) / p.L, (p.k * x.i - p.b * x.w) / p.J],
+    "Motor", "i w", "v", lambda x, u, t, p, M: [(u.v - p.R * x.i - p.k * x.w) / p.L, (p.k * x.i - p.b * x.w) / p.J],
+    [(-1, 1), (-2, 2)], parameters={"L": 0.05, "R": 1.0, "k": 0.5, "J": 0.05, "b": 0.05},
 )  # fmt: skip
 Tank = declared(  # of the README: level h, inflow q
-    "Tank", "h", "q", {"area": 1.0, "outflow": 0.5}, [(0.5, 2.0)],
-    lambda x, u, t, p, M: [(u.q - p.outflow * M.sqrt(x.h)) / p.area],
+    "Tank", "h", "q", lambda x, u, t, p, M: [(u.q - p.outflow * M.sqrt(x.h)) / p.area], [(0.5, 2.0)],
+    parameters={"area": 1.0, "outflow": 0.5},
 )  # fmt: skip
 Mixer = declared(  # linear, both inputs act on both states
-    "Mixer", "a b", "u v", {"k": 1.0, "c": 0.5}, [(-1, 1), (-1, 1)],
-    lambda x, u, t, p, M: [-x.a + p.k * u.u + p.c * u.v, -0.5 * x.b - p.c * u.u + p.k * u.v],
+    "Mixer", "a b", "u v", lambda x, u, t, p, M: [-x.a + p.k * u.u + p.c * u.v, -0.5 * x.b - p.c * u.u + p.k * u.v],
+    [(-1, 1), (-1, 1)], parameters={"k": 1.0, "c": 0.5},
 )  # fmt: skip
 Unstable, Stable = type("Unstable", (Scalar,), {}), type("Stable", (Scalar,), {"parameters": {"a": -1.0, "c": 1.0}})
 

@@ -11,12 +11,12 @@ the exact prediction calls mj_forward four times, as one of MuJoCo's RK4 does: i
 npred[mujoco].
 """
 
-import argparse
 from bisect import bisect_left
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import harness
 import mujoco
 import numpy as np
 
@@ -47,18 +47,14 @@ class Rival(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model")
-    parser.add_argument("--store", default=None)
-    arguments = parser.parse_args()
-    pipeline = config.load(Path(arguments.model.rpartition(":")[0]))
+    arguments = harness.options(__doc__, {"model": ...}, store=str)
+    pipeline = harness.pipeline(arguments.model)
     arm, by_rk4 = (
         plants.resolve(f"{pipeline.plant.rpartition(':')[0]}:{name}", pipeline.parameters)
         for name in ("Arm", "ArmByRK4")
     )
-    box, table = np.array([arm.box[name] for name in arm.states]), pipeline.evaluate
-    X0 = randomness.generator(1, "simulator_rollout").uniform(box[:, 0], box[:, 1], (STARTS, arm.n))
-    network = npred.load(arguments.model, store=arguments.store, runtime="fused", nx=table.nx)
+    table, X0 = pipeline.evaluate, harness.starts(arm, STARTS, randomness.generator(1, "simulator_rollout"))
+    network = harness.network(arguments, table.nx)
     exact, allowed = (tracking(arm, run, X0, table) for run in (npred.predictor(arm, "rk4", table.nx), network))
     network_us = call_us(network, X0[0], arm.u_target(0.0), table.D)
     print(f"D = {table.D:g} s, {STARTS} loops of {table.case_t_end:g} s: those kept, tracking error, µs per prediction")
@@ -70,9 +66,7 @@ def main() -> None:
         compare(rival, arm, X0, table, allowed[1], network_us)
 
 
-def compare(
-    rival: Rival, arm: Plant, X0: np.ndarray, table: config.Evaluate, allowed: float, network_us: float
-) -> None:
+def compare(rival: Rival, arm: Plant, X0: np.ndarray, table: Any, allowed: float, network_us: float) -> None:
     """Print the rows of a rival."""
     step_us, tracked = engine_us(rival.integrator, table.D), {}
 

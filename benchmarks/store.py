@@ -1,13 +1,12 @@
 """What the store's operations cost with 10 to 10 000 results in it, and the slope of each.
 
-    python benchmarks/store.py [--most 10000] [--folder DIR] [-o docs/figures]
+    python benchmarks/store.py [--most 10000] [--folder DIR] [--output docs/figures]
 
 Results of two small files each; all but `put` and `get` are whole commands over the store, in
 process. Processor seconds, so that what else the machine does is not measured; the wall clock of `put` is a row of its
 own, for it waits for the disk. A slope of 1 is a cost in proportion to the number of results.
 """
 
-import argparse
 import shutil
 import tempfile
 import time
@@ -15,11 +14,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import harness
 import numpy as np
-from typer.testing import CliRunner
 
-from npred.base.errors import NpredError
-from npred.cli import app
 from npred.lab.report.figures.figure import Figure, LegendEntry, Panel, write
 from npred.lab.report.figures.style import MEDIA, LineStyle, log
 from npred.lab.report.terminal.console import columns
@@ -53,20 +50,13 @@ def _clocks() -> np.ndarray:
 
 def best(call: Callable[[], object]) -> float:
     """The shortest of some times."""
-    times = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    return min(times)
+    return min(harness.seconds(call, time.process_time)[0] for _ in range(REPEATS))
 
 
 def command(arguments: tuple[str, ...], store: Store, pipeline: Path) -> None:
     """A command of npred in this process."""
     words = [word.format(p=pipeline) for word in arguments]
-    done = CliRunner().invoke(app, [*words, "--store", str(store.root), "-q"])
-    if done.exit_code:
-        raise NpredError(done.output)
+    harness.command_line(*words, "--store", str(store.root), "-q")
 
 
 def _key(number: int) -> str:
@@ -116,13 +106,8 @@ def draw(folder: Path, sizes: list[int], times: dict[str, list[float]]) -> None:
     write(Figure("store", "The store", caption, (panel,), keys), folder, MEDIA["page"])
 
 
-def main() -> None:
-    """The table; with -o the figure."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--most", type=int, default=10_000)
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("-o", "--output", type=Path)
-    asked = parser.parse_args()
+if __name__ == "__main__":
+    asked = harness.options(__doc__, most=10_000, folder=Path, output=Path)
     sizes = [size for size in (10, 100, 1000, 10_000, 100_000) if size <= asked.most]
     folder = Path(tempfile.mkdtemp(dir=asked.folder))
     try:
@@ -133,7 +118,3 @@ def main() -> None:
     print(columns(["processor seconds with", *map(str, sizes), "slope"], rows))
     if asked.output:
         draw(asked.output, sizes, times)
-
-
-if __name__ == "__main__":
-    main()

@@ -40,8 +40,7 @@ def milliseconds(plant, table, rest_nodes: int | None, nodes: int) -> float:
     return float(np.median(times))
 
 
-def main() -> None:
-    """Print the table."""
+if __name__ == "__main__":
     torch.set_num_threads(1)
     pipeline = config.load(Path("pipeline/paper.toml"))
     plant = npred.plant(pipeline.plant)
@@ -49,10 +48,5 @@ def main() -> None:
         table = getattr(pipeline.train, name)
         plain = milliseconds(plant, table, None, NX)
         recipe = milliseconds(plant, table, REST_NODES, table.nodes)
-        print(
-            f"{name:10s}{table.batch:6d} rows   plain {plain:7.1f} ms   recipe {recipe:7.1f} ms   {plain / recipe:.1f}x"
-        )
-
-
-if __name__ == "__main__":
-    main()
+        times = f"plain {plain:7.1f} ms   recipe {recipe:7.1f} ms   {plain / recipe:.1f}x"
+        print(f"{name:10s}{table.batch:6d} rows   {times}")

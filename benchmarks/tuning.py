@@ -6,10 +6,10 @@ The grid has its cells on the logarithmic scale, ends included, is judged on the
 the same held-out starts. Loops are shorter than the pipelines', for they settle long before. Markdown goes to stdout.
 """
 
-import argparse
 from itertools import product
 from pathlib import Path
 
+import harness
 import numpy as np
 
 from npred import plants
@@ -59,19 +59,10 @@ def _silent(steps: int) -> None:
     pass
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(SETS))
-    parser.add_argument("--cells", type=int, default=12)
-    parser.add_argument("--evaluations", type=int, default=150)
-    parser.add_argument("--jobs", type=int, default=1)
-    asked = parser.parse_args()
-    print("| " + " | ".join(HEAD) + " |\n|" + "---|" * len(HEAD), flush=True)
+if __name__ == "__main__":
+    asked = harness.options(__doc__, {"names": [*SETS]}, cells=12, evaluations=150, jobs=1)
+    harness.head(*HEAD)
     with progress.quiet():
         for name in asked.names:
             for row in rows(name, asked.cells, asked.evaluations, asked.jobs):
-                print("| " + " | ".join(row) + " |", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+                harness.row(*row)

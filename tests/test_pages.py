@@ -1,18 +1,14 @@
 """benchmarks/pages.py: which commands and figures of a page it sees, and that a stale figure is one."""
 
-import importlib.util
 import subprocess
 import sys
 from pathlib import Path
 
+import pages
 import pytest
 from conftest import HERE
 
 FILE = HERE.parent / "benchmarks" / "pages.py"
-SPEC = importlib.util.spec_from_file_location("pages", FILE)
-assert SPEC and SPEC.loader
-pages = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(pages)
 
 PAGE = """# A page
 

@@ -132,7 +132,7 @@ def test_weights_of_another_precision_or_shape_are_refused(tmp_path: Path):
 
 
 def test_some_hundreds_of_mutated_files():
-    command = [sys.executable, str(ROOT / "benchmarks" / "fuzz.py"), "--cases", "600", "--seed", "7"]
+    command = [sys.executable, str(HERE / "fuzz.py"), "600", "7"]
     done = subprocess.run(command, env=process_environment(), capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert int(done.stdout.splitlines()[-1].split()[1]) > 400  # most of them were refused

@@ -259,8 +259,7 @@ def rivals(t: np.ndarray, U: np.ndarray, Y: np.ndarray) -> dict[str, float]:
     return {name: float(np.sqrt(((guess - y)[cut:] ** 2).mean()) / y.std()) for name, guess in guesses.items()}
 
 
-def main() -> None:
-    """Each log's lines."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("names", nargs="*")
@@ -284,7 +283,3 @@ def main() -> None:
             none = trial.fit(0 * D, [z]).x
             print(f"  {label}: D {ends}; " + ", ".join(f"{k} = {v:.4g}" for k, v in values))
             print(f"    fit and held back {trial.errors(z, D)}, without delay {trial.errors(none, 0 * D)}", flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -54,14 +54,8 @@ def command(words: list[str], folder: Path) -> tuple[int, str, str]:
     environment = {"PYTHONPATH": str(HERE.parents[1])} | os.environ
     environment |= {"OMP_NUM_THREADS": "1", "NPRED_STORE": str(folder / "store")}
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "npred", *words],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=LIMIT,
-        )
+        named = {"cwd": folder, "env": environment, "capture_output": True, "text": True, "timeout": LIMIT}
+        done = subprocess.run([sys.executable, "-m", "npred", *words], **named)
     except subprocess.TimeoutExpired:
         return 124, "", f"more than {LIMIT} s"
     return done.returncode, done.stdout, done.stderr
@@ -75,9 +69,8 @@ def verdict(log: dict[str, Any], answer: dict[str, Any] | None) -> str:
     lows, highs = (v if isinstance(v, list) else [v] * m for v in (log["low"], log["high"]))
     slack = answer.get("period", 0.0) / 10
     worst = []
-    for D, (low, high), certain, least, most in zip(
-        answer["D"], answer["interval"], answer["identifiable"], lows, highs, strict=True
-    ):
+    rows = zip(answer["D"], answer["interval"], answer["identifiable"], lows, highs, strict=True)
+    for D, (low, high), certain, least, most in rows:
         least, most = least - slack, most + slack
         meets = low <= most and high >= least
         if certain:  # of a delay that no one knows well, a narrow interval is false wherever it lies
@@ -120,22 +113,13 @@ def row(name: str, data: Path, fast: bool) -> tuple[str, str]:
     )  # fmt: skip
     ends = f"{log['low']} to {log['high']}" + ("" if log["knowable"] else ", not knowable")
     star = "*" if log.get("twenty_four") else ""
-    cells = (
-        f"{name}{star}",
-        "yes" if answer else "no",
-        spans,
-        ends,
-        verdict(log, answer),
-        wrote,
-        after,
-        f"{seconds:.1f}",
-    )
+    read, said_of = "yes" if answer else "no", verdict(log, answer)
+    cells = f"{name}{star}", read, spans, ends, said_of, wrote, after, f"{seconds:.1f}"
     below = f"{name} (exit {code}): " + " | ".join(said) + ("\n" + err.strip() if answer and err.strip() else "")
     return "| " + " | ".join(cells) + " |", below
 
 
-def main() -> None:
-    """The table, then the sentences."""
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("names", nargs="*")
@@ -152,7 +136,3 @@ def main() -> None:
             verdicts.append(line.split(" | ")[4])
     print("\n" + ", ".join(f"{verdicts.count(v)} {v}" for v in sorted(set(verdicts))) + "\n")
     print("\n\n".join(texts))
-
-
-if __name__ == "__main__":
-    main()

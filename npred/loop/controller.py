@@ -114,7 +114,7 @@ class Controller(InNotebook):
         self.parts, self.settings = assembly.kernels(loop, laws), assembly.settings(loop, laws)
         if D_hat is not None:
             array_checks.within("D_hat", np.array(D_hat), tuple(laws.bounds), plant.time_unit)
-        if not plant.declares_delay:
+        if D_hat is not None and not plant.declares_delay:
             longest = D_hat if law is None else law.bounds[1]
             if law is not None:
                 control_step.check("dt", dt, longest)

@@ -1,21 +1,16 @@
 """The controller in C on a Cortex-M in QEMU: the host's commands, and sizes that a microcontroller has."""
 
-import importlib.util
 import shutil
 
+import cortex_m
 import numpy as np
 import pytest
-from conftest import HERE
 from operator_samples import SMALL, operator
 
 import npred
 from npred.exports import c_controller
 from npred.networks.fused import Fused
 
-SPEC = importlib.util.spec_from_file_location("cortex_m", HERE.parent / "benchmarks" / "cortex_m.py")
-assert SPEC is not None and SPEC.loader is not None
-cortex_m = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(cortex_m)
 MISSING = [tool for tool in ("gcc", *cortex_m.TOOLS) if shutil.which(tool) is None]
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"no {', '.join(MISSING)} on this machine")
 PLANT, UNICYCLE = npred.plant("activator_repressor"), npred.plant("unicycle")

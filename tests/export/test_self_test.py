@@ -5,7 +5,8 @@ import subprocess
 import numpy as np
 import pytest
 from c_controllers import FLAGS, needs_gcc
-from self_tested import TWELVE, mutants
+from self_tested import TWELVE
+from self_tested import judged as of_mutants
 
 import npred
 from npred.exports import c_controller, self_test
@@ -70,6 +71,6 @@ def test_of_many_at_most_one_in_a_hundred_does(name):
 
 def judged(name, count):
     make, precision = TWELVE[name]
-    row = mutants.judged(make(), precision, count)
+    row = of_mutants(make(), precision, count)
     assert row.mutants == count and row.passed < 0.9 * count  # many are in code that this controller does not run
     return row

@@ -1,24 +1,16 @@
 """The adversary of the safety filter, benchmarks/safety_adversary.py."""
 
 import dataclasses
-import importlib
 
 import numpy as np
 import pytest
-from conftest import HERE
+import safety_adversary as adversary
 
 import npred
 
 
-@pytest.fixture(scope="module")
-def adversary():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(HERE.parent / "benchmarks"))
-        yield importlib.import_module("safety_adversary")
-
-
 @pytest.fixture
-def cases(adversary):
+def cases():
     return adversary.cases()
 
 
@@ -28,7 +20,7 @@ def states(plant, rng):
 
 
 @pytest.mark.parametrize("name", ["cart", "arm", "tank", "aircraft", "pole", "clock", "pendulum", "cubic"])
-def test_its_plants_are_those_of_the_filters(adversary, cases, name):
+def test_its_plants_are_those_of_the_filters(cases, name):
     plant, system, rng = cases[name].plant, adversary.SYSTEMS[name], np.random.default_rng(0)
     for _ in range(20):
         X, u = states(plant, rng), rng.uniform(*np.array(system.before).T)
@@ -37,7 +29,7 @@ def test_its_plants_are_those_of_the_filters(adversary, cases, name):
 
 
 @pytest.mark.parametrize("name", ["cart", "arm"])
-def test_its_integration_is_that_of_the_loop(adversary, cases, name):
+def test_its_integration_is_that_of_the_loop(cases, name):
     case, system, rng = dataclasses.replace(cases[name], dt=0.0025), adversary.SYSTEMS[name], np.random.default_rng(1)
     low, high = np.array(system.before).T
     X0, before = states(case.plant, rng), rng.uniform(low, high, (adversary.PIECES, case.plant.m))
@@ -53,7 +45,7 @@ def test_its_integration_is_that_of_the_loop(adversary, cases, name):
     assert np.ptp(before, axis=0).min() > 0.1
 
 
-def test_it_tells_a_filter_that_expects_the_error_of_the_delay(adversary, cases, monkeypatch):
+def test_it_tells_a_filter_that_expects_the_error_of_the_delay(cases, monkeypatch):
     """From the same points a filter that takes D_hat for true breaks the limit, and one that does not keeps it."""
     case, points = dataclasses.replace(cases["cart"], delay=0.2), np.random.default_rng(0).uniform(size=(30, 7))
 

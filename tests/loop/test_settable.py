@@ -1,20 +1,20 @@
 """Set-points that are stepped while a loop runs: their rest, the controller's memory of them, and what they disturb."""
 
 import ctypes
-import importlib.util
 import json
 import pickle
 import subprocess
-import sys
 
+import harness
 import numpy as np
 import pytest
+import setpoints
 from c_controllers import FLAGS, InC, library, needs_gcc
-from conftest import HERE
 from fmus import InFmu, exported, needs_cc
 from hypothesis import given
 from hypothesis import strategies as st
 from operator_samples import PLANT, SMALL, operator
+from plants import Lifted
 from scipy.optimize import root
 
 import npred
@@ -27,16 +27,12 @@ from npred.lab.stages.evaluate.behaviour import behaviour
 from npred.loop import metrics, settable
 from npred.networks.fused import Fused
 
-SPEC = importlib.util.spec_from_file_location("setpoints", HERE.parent / "benchmarks" / "setpoints.py")
-assert SPEC is not None and SPEC.loader is not None
-setpoints = sys.modules["setpoints"] = importlib.util.module_from_spec(SPEC)  # where pickle finds its plants
-SPEC.loader.exec_module(setpoints)
 CASES = setpoints.cases()
 PENDULUM = CASES["pendulum"]
 PLANTS = pytest.mark.parametrize("name", CASES)
 
 
-class Limited(setpoints.Pendulum):
+class Limited(Lifted):
     """The same with limits that its set-points come near to."""
 
     def safe(x, t, p, M):
@@ -63,7 +59,7 @@ class Loaded:
 def test_python_c_and_fmu_settle_at_each_set_point_with_one_u(tmp_path, name):
     case = CASES[name]
     one = setpoints.controller(case)
-    run = setpoints.stepped(case, one, [setpoints.InC(one, tmp_path), setpoints.InFmu(one, tmp_path)], 4)
+    run = setpoints.stepped(case, one, [harness.InC(one, tmp_path), harness.InFmu(one, tmp_path)], 4)
     assert (run.settled, run.of, run.samples_refused, run.refused) == (4, 4, 0, 4)
     assert run.share <= 1.0 and run.apart <= 1e-12
 

@@ -1,15 +1,248 @@
-"""Forty plants whose set-points are asked for by benchmarks/rests.py: shipped ones, those of textbooks, others.
+"""Plants of the benchmarks, and the forty whose set-points are asked for by benchmarks/rests.py.
 
 A model has f(x, u, M), the boxes of its states and the bounds of its inputs, and the set-points: states, or functions
 of them, with the ranges from which they are drawn, which go beyond what the plant can hold.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import npred
+from npred.plants.builtin import (
+    activator_repressor,
+    cart_pole,
+    chemostat,
+    planar_arm,
+    pvtol,
+    transport_tank,
+    van_der_pol,
+)
 
 Pair = tuple[float, float]
+
+
+def declared(
+    name: str, states: str, inputs: str, f: Callable[..., Any], box: Sequence[Pair] = (), *bounds: Pair, **parts: Any
+) -> type:  # fmt: skip
+    """A plant's class, as a user writes it; `aim` is a parameter, and the set-point of the state of that name."""
+    names = tuple(states.split())
+    own = {"states": names, "inputs": tuple(inputs.split()), "f": f, "box": dict(zip(names, box, strict=False))}
+    if bounds:
+        own["input_bounds"] = bounds
+    if aim := parts.pop("aim", None):
+        state, value = aim
+        own["parameters"] = parts.pop("parameters", {}) | {"aim": value}
+        own["setpoint"] = lambda x, t, p, M: [getattr(x, state) - p.aim]
+    if output := parts.pop("measured", None):
+        own["outputs"] = (f"{output}_m",)
+        own["output"] = lambda x, t, p, M: [getattr(x, output)]
+    return type(name, (), own | parts)
+
+
+def derived(name: str, base: type, **parts: Any) -> type:
+    return type(name, (base,), parts)
+
+
+# with limits: of a part of the state, then others
+
+Pole = derived(  # on a cart, whose track alone is limited: no limit knows the pole
+    "Pole", cart_pole.CartPole, parameters=cart_pole.CartPole.parameters | {"mass": 0.2, "length": 0.4, "end": 0.6},
+    box={"p": (-0.5, 0.5), "v": (-0.2, 0.2), "theta": (-0.15, 0.15), "omega": (-0.2, 0.2)},
+    input_bounds=((-25.0, 25.0),), safe=lambda x, t, p, M: [p.end - x.p, p.end + x.p],
+)  # fmt: skip
+Pendulum = declared(  # hangs, is sent to 1.5 rad, and must not turn faster than 1.2 rad/s; 1 kg at 1 m, with friction
+    "Pendulum", "theta omega", "torque",
+    lambda x, u, t, p, M: [x.omega, u.torque - 9.81 * M.sin(x.theta) - 0.2 * x.omega],
+    [(-0.5, 2.0), (-1.0, 1.0)], (-15.0, 15.0), guess=(1.5, 0.0),
+    kappa=lambda x, t, p, M: [9.81 * M.sin(x.theta) - 6.0 * (x.theta - 1.5) - 3.0 * x.omega],
+    safe=lambda x, t, p, M: [1.2 - x.omega, 1.2 + x.omega],
+)  # fmt: skip
+Drone = derived(  # above the ground, which is 0.5 below where it goes; some starts fall
+    "Drone", pvtol.PVTOL, box=pvtol.PVTOL.box | {"y": (-0.4, 0.5), "vy": (-1.0, 1.0)},
+    input_bounds=((0.0, 2.5), (-2.0, 2.0)), safe=lambda x, t, p, M: [x.y + 0.5],
+)  # fmt: skip
+Elbow = derived(  # stops of the second joint alone
+    "Elbow", planar_arm.arm(2), input_bounds=((-20.0, 20.0), (-10.0, 10.0)),
+    safe=lambda x, t, p, M: [0.85 - x.theta2, x.theta2 - 0.2],
+)  # fmt: skip
+
+
+def _series(x, u, t, p, M):
+    first, second = M.sqrt(M.maximum(x.h1, 1e-3)), M.sqrt(M.maximum(x.h2, 1e-3))
+    return [u.q - 0.6 * first, 0.6 * first - 0.6 * second]
+
+
+Series = declared(  # two tanks, one flowing into the other, whose level must stay below 0.57 m on the way to 0.55 m
+    "Series", "h1 h2", "q", _series, [(0.2, 0.8), (0.2, 0.55)], (0.0, 1.2), guess=(0.55, 0.55),
+    kappa=lambda x, t, p, M: [0.6 * 0.55**0.5 - 1.0 * (x.h1 - 0.55) - 4.0 * (x.h2 - 0.55)],
+    safe=lambda x, t, p, M: [0.57 - x.h2],
+)  # fmt: skip
+Lane = declared(  # a car at 20 m/s, a bicycle of 2.7 m, that changes to the middle of its lane; its steering lags
+    "Lane", "y psi delta", "steer",
+    lambda x, u, t, p, M: [20.0 * M.sin(x.psi), 20.0 / 2.7 * M.tan(x.delta), (u.steer - x.delta) / 0.1],
+    [(-1.0, 1.0), (-0.08, 0.08), (-0.01, 0.01)], (-0.06, 0.06),
+    kappa=lambda x, t, p, M: [-0.01 * x.y - 0.25 * x.psi - 0.3 * x.delta],
+    safe=lambda x, t, p, M: [1.2 - x.y, 1.2 + x.y],
+)  # fmt: skip
+Cart = declared(  # a mass that the law sends to 5 cm before the end of its track, with an overshoot
+    "Cart", "p v", "F", lambda x, u, t, p, M: [x.v, u.F], [(-0.2, 0.2), (-0.3, 0.3)], (-5.0, 5.0),
+    parameters={"end": 0.25, "stiffness": 4.0, "damping": 1.2},
+    kappa=lambda x, t, p, M: [-p.stiffness * (x.p - p.end + 0.05) - p.damping * x.v],
+    safe=lambda x, t, p, M: [p.end - x.p, p.end + x.p],
+)  # fmt: skip
+Arm = derived(  # a stop at each side of both angles; the reference needs 0.03 rad more than the first angle has
+    "Arm", planar_arm.arm(2),
+    safe=lambda x, t, p, M: [0.37 - x.theta1, x.theta1 + 0.05, 0.9 - x.theta2, x.theta2 - 0.25],
+)  # fmt: skip
+Tank = derived(  # the temperature, with a set point half a kelvin too hot; no input moves the level; one delay
+    "Tank", transport_tank.TransportTank, delay=None, guess=(2.0, 24.5),
+    parameters=transport_tank.TransportTank.parameters | {"T_set": 24.5},
+    safe=lambda x, t, p, M: [24.0 - x.T, x.T - 16.0],
+)  # fmt: skip
+Aircraft = derived("Aircraft", pvtol.PVTOL, safe=lambda x, t, p, M: [0.25 - x.theta, 0.25 + x.theta])
+Clock = derived(  # the repressor, which falls to its set point, 5.25, kept above a floor that is above it
+    "Clock", activator_repressor.ActivatorRepressor, safe=lambda x, t, p, M: [x.x2 - 6.0]
+)
+Cubic = declared(  # without bounds of u: between two nodes the prediction grows by whole factors
+    "Cubic", "x", "u", lambda x, u, t, p, M: [x.x + 1.5 * x.x**3 + u.u], [(-0.5, 0.5)],
+    kappa=lambda x, t, p, M: [-x.x - 1.5 * x.x**3 - 4.0 * (x.x - 0.9)], safe=lambda x, t, p, M: [1.0 - x.x**2],
+)  # fmt: skip
+
+
+# with set-points that are stepped
+
+Lifted = declared(  # a pendulum without friction, lifted by a torque; more than 9 Nm it cannot
+    "Lifted", "angle rate", "torque", lambda x, u, t, p, M: [x.rate, u.torque - p.pull * M.sin(x.angle)],
+    [(-1.5, 1.5), (-3.0, 3.0)], (-9.0, 9.0), parameters={"pull": 9.81}, aim=("angle", 0.3),
+)  # fmt: skip
+
+
+def _row(x, u, t, p, M):
+    first, second = p.c * M.sqrt(M.maximum(x.h1, 1e-3)), p.c * M.sqrt(M.maximum(x.h2, 1e-3))
+    return [u.q1 - first, u.q2 + first - second]
+
+
+TwoTanks = declared(  # in a row, each with a pump: levels h1 and h2 in metres; h1 flows into h2
+    "TwoTanks", "h1 h2", "q1 q2", _row, [(0.5, 2.5), (1.0, 6.0)], (0.0, 2.0), (0.0, 2.0), guess=(1.0, 2.0),
+    parameters={"c": 0.5, "first": 1.0, "second": 2.0},
+    setpoint=lambda x, t, p, M: [x.h1 - p.first, x.h2 - p.second],
+)  # fmt: skip
+Oscillator = derived(  # van der Pol's, held at some x1
+    "Oscillator", van_der_pol.VanDerPol, parameters={"mu": 1.0, "aim": 0.0}, kappa=None, V=None,
+    setpoint=lambda x, t, p, M: [x.x1 - p.aim],
+)  # fmt: skip
+Reactor = derived(  # the chemostat, led to some substrate S; which biomass Z that takes follows
+    "Reactor", chemostat.Chemostat, parameters={"a": 3.5, "rho": 1.0, "m": 0.1, "S_in": 2 + 10 / 3, "aim": 2.0},
+    kappa=None, V=None, setpoint=lambda x, t, p, M: [x.S - p.aim],
+)  # fmt: skip
+Oven = declared(  # a temperature whose kappa reads the set-point itself
+    "Oven", "T", "heat", lambda x, u, t, p, M: [u.heat - p.loss * x.T], [(0.0, 100.0)],
+    parameters={"loss": 0.4, "k": 1.5, "aim": 20.0}, kappa=lambda x, t, p, M: [p.loss * p.aim - p.k * (x.T - p.aim)],
+)  # fmt: skip
+
+
+# with one output and its set-point: what else is a state is not measured
+
+
+def _neutral(x, u, t, p, M):
+    r = x.w / 0.3
+    pH = 7 + 2 * M.log(r + M.sqrt(r * r + 1)) / 2.302585
+    return [(200 * u.q - 160 - (20 + u.q) * x.w) / 60, (pH - x.e) / 0.15]
+
+
+def _culture(x, u, t, p, M):
+    growth = 0.5 * x.s / (1.0 + x.s)
+    return [(growth - u.q) * x.b, u.q * (6.0 - x.s) - growth * x.b / 0.5]
+
+
+def _below(x, u, t, p, M):
+    above, below = (M.sqrt(M.maximum(level, 0.01)) for level in (x.h, x.g))
+    return [(u.q - 4.0 * above) / 20.0, (above - below) / 5.0]
+
+
+AIMED = {  # a tank's pH, a heated tank, both with sensors that lag; a chemostat by Monod's law, fed at the rate q; …
+    "Neutral": declared(
+        "Neutral", "w e", "q", _neutral, [(-1.0, 1.0), (4.5, 9.5)], (0.0, 2.0), guess=(0.0, 7.0), time_unit="min",
+        measured="e", aim=("e", 7.0),
+    ),
+    "Heated": declared(
+        "Heated", "T s", "P", lambda x, u, t, p, M: [(20.0 - x.T) / 10.0 + 0.12 * u.P, (x.T - x.s) / 1.5],
+        [(20.0, 80.0), (20.0, 80.0)], (0.0, 100.0), guess=(50.0, 50.0), time_unit="min", measured="s", aim=("s", 50.0),
+    ),
+    "Servo": declared(
+        "Servo", "a w", "U", lambda x, u, t, p, M: [x.w, -3.0 * x.w - 0.5 * M.tanh(5 * x.w) + 4.0 * u.U],
+        [(-2.0, 2.0), (-4.0, 4.0)], (-8.0, 8.0), guess=(0.0, 0.0), measured="a", aim=("a", 0.0),
+    ),
+    "Culture": declared(
+        "Culture", "b s", "q", _culture, [(1.0, 4.5), (0.2, 3.0)], (0.02, 0.5), guess=(2.2, 1.0), time_unit="h",
+        measured="s", aim=("s", 1.0),
+    ),
+    "Tanks": declared(
+        "Tanks", "h g", "q", _below, [(2.0, 25.0), (2.0, 25.0)], (0.0, 30.0), guess=(10.0, 10.0), measured="g",
+        aim=("g", 10.0),
+    ),
+    "Pendulum": declared(
+        "Pendulum", "a w", "U", lambda x, u, t, p, M: [x.w, 2.0 * M.sin(x.a) - 0.3 * x.w + u.U],
+        [(-0.8, 0.8), (-2.0, 2.0)], (-4.0, 4.0), guess=(0.0, 0.0), measured="a", aim=("a", 0.0),
+    ),
+    "Motor": declared(
+        "Motor", "w i", "U",
+        lambda x, u, t, p, M: [(0.1 * x.i - 0.004 * x.w) / 0.005, (u.U - 1.0 * x.i - 0.1 * x.w) / 0.05],
+        [(0.0, 100.0), (-5.0, 15.0)], (-24.0, 24.0), guess=(50.0, 2.0), measured="w", aim=("w", 50.0),
+    ),
+}  # fmt: skip
+
+
+# and others
+
+DCMotor = declared(  # of 10 g m², driven by its voltage
+    "DCMotor", "angle speed current", "voltage",
+    lambda x, u, t, p, M: [
+        x.speed, (p.K * x.current - p.b * x.speed) / p.J, (u.voltage - p.R * x.current - p.K * x.speed) / p.L
+    ],
+    3 * [(-1.0, 1.0)], parameters={"J": 0.01, "b": 0.1, "K": 0.01, "R": 1.0, "L": 0.5},
+    kappa=lambda x, t, p, M: [-20 * x.angle - 2 * x.speed - x.current],
+)  # fmt: skip
+Climber = declared(  # an aircraft of 1 kg that climbs by its thrust; it is to hover at 2 m
+    "Climber", "z v", "thrust", lambda x, u, t, p, M: [x.v, u.thrust - p.gravity], [(1.0, 3.0), (-1.0, 1.0)],
+    parameters={"gravity": 9.81}, guess=(2.0, 0.0), kappa=lambda x, t, p, M: [p.gravity - (x.z - 2.0) - 2 * x.v],
+)  # fmt: skip
+TwoDelays = declared(  # two inputs, the second one later; unstable without them
+    "TwoDelays", "x y", "a b", lambda x, u, t, p, M: [0.3 * x.x + x.y + u.a, 0.2 * x.x - 0.1 * x.y + u.b],
+    delays=(0.4, 1.0), kappa=lambda x, t, p, M: [-2.3 * x.x - 0.4 * x.y, -0.5 * x.x - 2.2 * x.y],
+)  # fmt: skip
+Follower = declared(  # along 0.3 sin(1.5 t): a plant whose commands never rest
+    "Follower", "x", "u", lambda x, u, t, p, M: [0.5 * x.x + u.u], [(-1.0, 1.0)],
+    kappa=lambda x, t, p, M: [0.45 * M.cos(1.5 * t) - 2.5 * x.x + 0.6 * M.sin(1.5 * t)],
+    V=lambda x, t, p, M: (x.x - 0.3 * M.sin(1.5 * t)) ** 2, reference=lambda t, p, M: [0.3 * M.sin(1.5 * t)],
+)  # fmt: skip
+Led = declared(  # along sin t
+    "Led", "x", "U", lambda x, u, t, p, M: [u.U - x.x / 2], V=lambda x, t, p, M: (x.x - M.sin(t)) ** 2,
+    kappa=lambda x, t, p, M: [x.x / 2 + M.cos(t) - (x.x - M.sin(t))], reference=lambda t, p, M: [M.sin(t)],
+)  # fmt: skip
+Lag = declared(  # T x' = -x + K u
+    "Lag", "x", "u", lambda x, u, t, p, M: [(p.K * u.u - x.x) / p.T], [(0.0, 2.0)], (0.0, 4.0),
+    parameters={"T": 1.0, "K": 1.0}, aim=("x", 1.0),
+)  # fmt: skip
+Integral = declared(  # the same with the integral of the error as a second state
+    "Integral", "x xi", "u", lambda x, u, t, p, M: [u.u - x.x, x.x - 1], [(0.0, 2.0), (-1.0, 1.0)], guess=(1.0, 0.0)
+)
+Traced = declared(  # an upright pendulum
+    "Traced", "theta omega", "torque", lambda x, u, t, p, M: [x.omega, 10.0 * M.sin(x.theta) + u.torque],
+    [(-0.5, 0.5), (-0.5, 0.5)], kappa=lambda x, t, p, M: [-10.0 * M.sin(x.theta) - 4.0 * (x.theta + x.omega)],
+    V=lambda x, t, p, M: x.theta**2 + x.omega**2,
+)  # fmt: skip
+Called = type("Called", (), {  # the same, as functions of rows
+    "traced": False, "states": Traced.states, "inputs": Traced.inputs, "box": Traced.box,
+    "f": lambda X, u, t, p: np.stack([X[:, 1], 10.0 * np.sin(X[:, 0]) + u[:, 0]], axis=1),
+    "kappa": lambda X, t, p: (-10.0 * np.sin(X[:, 0]) - 4.0 * X.sum(axis=1))[:, None],
+    "V": lambda X, t, p: (X**2).sum(axis=1),
+})  # fmt: skip
+
+
+# the forty
 
 
 class Model(NamedTuple):

@@ -1,6 +1,6 @@
 """Runs that are killed, disks that fill, processes that want the same: the store stays whole and nothing is done twice.
 
-    python benchmarks/faults.py [--runs 200] [--seed 0]
+    python tests/faults.py [RUNS] [SEED]
 
 Each run is `npred run` of a tiny pipeline with the real stages, a process forked from one that has imported all that
 it needs. Killed (-9) at a random instant of a random stage, it must leave whole results and no lock, and the same
@@ -8,7 +8,6 @@ command must end with the digests of a run that nobody disturbed. A disk that fi
 takes the right to mount) of ever more bytes. Exit 1 where one of these fails.
 """
 
-import argparse
 import contextlib
 import json
 import os
@@ -282,24 +281,20 @@ def undisturbed(root: Path) -> tuple[dict[str, str], dict[str, float]]:
         return digests(Store(path)), times
 
 
-def main() -> None:
-    """All three; what went wrong last."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--runs", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--quick", action="store_true", help="one disk, and no crowd")
-    asked, root = parser.parse_args(), Path(tempfile.mkdtemp())
+def main(runs: int = 200, seed: int = 0, quick: bool = False) -> int:
+    """All three, or with one disk and no crowd; 1 where something went wrong."""
+    root = Path(tempfile.mkdtemp())
     try:
         wanted, times = undisturbed(root)
         print(f"undisturbed: {len(wanted)} results in {sum(times.values()):.1f} s", flush=True)
-        wrong = filled(root, wanted, SIZES[3:4] if asked.quick else SIZES)
-        wrong += [] if asked.quick else at_once(root, wanted)
-        wrong += killed(root, asked.runs, asked.seed, wanted, times)
+        wrong = filled(root, wanted, SIZES[3:4] if quick else SIZES)
+        wrong += [] if quick else at_once(root, wanted)
+        wrong += killed(root, runs, seed, wanted, times)
     finally:
         shutil.rmtree(root)
     print(*wrong[:20], sep="\n", file=sys.stderr)
-    sys.exit(bool(wrong))
+    return int(bool(wrong))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(*map(int, sys.argv[1:])))
