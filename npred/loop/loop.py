@@ -106,8 +106,9 @@ class Loop:
     @property
     def delayed(self) -> bool:
         """True if a command of t < 0 is read."""
-        declared = self.plant.declares_delay or callable(self.D)
-        return declared or bool(np.any(self.D) or (self.reads_commands and np.any(self.D_hat)))
+        if self.plant.declares_delay or callable(self.D):
+            return True
+        return bool(np.any(self.D) or (self.reads_commands and np.any(self.D_hat)))
 
     @property
     def real(self) -> Plant:
