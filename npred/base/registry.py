@@ -347,10 +347,7 @@ def _branch(node: Any) -> Any:
 
 
 def load(what: str, spec: str) -> tuple[Any, Source]:
-    """Run the file: the class, and the text of the file.
-
-    Raises ConfigError, in one line, where either is missing or the file fails.
-    """
+    """Run the file: the class, and the text. Raises ConfigError, in one line, without either or where it fails."""
     path, name = split(spec)
     if not path.is_file():  # a pipe or a device would be read without an end
         raise ConfigError(

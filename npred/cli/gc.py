@@ -61,10 +61,7 @@ def gc(
 
 
 def _delete(store: Store, plan: list[Waste]) -> list[Path]:
-    """Delete what can be: what a run makes or has taken stays.
-
-    Where a disk has no room for a lock, the others make it: those are tried once more.
-    """
+    """Delete what can be: what a run uses stays. Where a full disk has no room for a lock, it is tried once more."""
 
     def deleted(waste: Waste) -> bool:
         def idle(path: Path) -> bool:  # and still what the plan was made for: a run may have put a new result there

@@ -16,10 +16,7 @@ PACKAGES = ("npred", "numpy", "torch", "h5py", "pydantic", "safetensors", "typer
 
 
 def doctor(options: Common) -> None:
-    """Versions, devices, threads and the store.
-
-    Each of its files is read: corrupt are results with changed bytes, incomplete those with fewer.
-    """
+    """Versions, devices, threads and the store, every file read: corrupt has changed bytes, incomplete fewer."""
     store = options.results
     artifacts, broken = store.survey()
     faulty = {*broken, *map(Path, _faults(options, artifacts))}

@@ -16,9 +16,7 @@ def applies(case: Case) -> bool:
 
 
 def kept(case: Case) -> Verdict:
-    """The loops from the box, of a known delay, that break a limit once the first command acts, or do not converge;
-    and those that break one before, by u0.
-    """
+    """Loops of a known delay that break a limit once a command acts, or do not converge; and by u0, before."""
     dt = step(case, (STEPS, STEPS))
     t_end = case.D + min(case.times[1], MOST * dt)
     both = (_failing(case, dt, t_end, safety) for safety in (None, SafetyFilter()))

@@ -180,9 +180,7 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
 
 
 def _best(plant: Plant, log: Log, settings: Settings) -> Identified:
-    """The answer by what comes after the longest delay; or by the whole log, if that leaves less open and the commands
-    move before.
-    """
+    """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
     early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
     moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
     try:

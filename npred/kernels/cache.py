@@ -64,9 +64,7 @@ def _absolute(variable: str) -> Path | None:
 
 
 def _private(folder: Path) -> None:
-    """Keep others out. Raises MissingError for a folder of another user, or that others could write to until now, and
-    OSError for one that this user cannot write to.
-    """
+    """Keep others out. Raises MissingError where they could write, OSError where this user cannot."""
     if not hasattr(os, "geteuid"):  # Windows, where a profile is its user's by its access list
         return
     status = folder.stat()

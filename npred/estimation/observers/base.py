@@ -228,9 +228,7 @@ class Observer(ABC):
 
     @property
     def _places(self) -> list[int]:
-        """Their places among the states and then the plant's outputs. Of two that share a name it is the state, unless
-        all of the plant's outputs are meant.
-        """
+        """Their places among states, then outputs; a name of both is the state, unless all are the plant's outputs."""
         states, outputs = self.plant.states, self.plant.outputs
         all_own = self.plant.declares_output and self.outputs == outputs
         return [

@@ -25,9 +25,7 @@ from npred.prediction.methods import Predictor
 
 
 class Stored(NamedTuple):
-    """A trained model: folder, network, the epoch of a snapshot (None: the final weights), the plant, and the table of
-    the pipeline that names it.
-    """
+    """A trained model; `snapshot` is an epoch, None for the final weights, `config` the table that names it."""
 
     folder: Path
     model: str

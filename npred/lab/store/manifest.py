@@ -31,10 +31,7 @@ _ENCODER = json.JSONEncoder(
 
 
 def canonical(value: object) -> str:
-    """JSON with sorted keys and no spaces: one text per value, a part of a manifest as the table of its fields.
-
-    Raises ValueError for NaN and infinities.
-    """
+    """JSON with sorted keys and no spaces; a part of a manifest as its table. Raises ValueError for NaN, infinity."""
     return _ENCODER.encode(value)
 
 

@@ -130,9 +130,7 @@ def cycle_ends(config: Training) -> list[int]:
 
 
 def _reached(config: Training, metrics: Metrics) -> bool:
-    """Whether the stated error is reached at the end of a cycle: within one the rate is high, and the error is not the
-    network's best.
-    """
+    """Whether the stated error is reached at the end of a cycle: within one, the error is not the network's best."""
     return bool(config.eps) and len(metrics) in cycle_ends(config) and metrics[-1]["eps_sup"] <= config.eps
 
 

@@ -43,9 +43,7 @@ class Certificate(Result):
 
 
 class Certified(Result):
-    """Certificates of the networks, for the distribution of the rollouts. They are no proofs, and say nothing of the
-    errors of numerical answers.
-    """
+    """Certificates of the networks, for the distribution of the rollouts. They are no proofs."""
 
     plant: str  #: its name
     loops: int  #: loops from fresh starts

@@ -223,9 +223,7 @@ class Console:
 
     @contextmanager
     def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Bar"]:
-        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
-        and then. `done` of them were there before.
-        """
+        """The progress of `total` units, in the plural, `done` of them before: a bar, without a terminal lines."""
         with ExitStack() as stack:
             if not self.view:
                 stack.enter_context(self.watch("", []))

@@ -91,9 +91,7 @@ class LiveView(Progress):
 
     @contextmanager
     def bar(self, title: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
-        """The progress of a stage, or of a part, which gets a separate row; it yields a function of the units that are
-        done, and of words for them.
-        """
+        """The progress of a stage, or of a part, which gets a row; yields a function of units done and of words."""
         is_part = title not in self.stages
         task = self._running(title)
         with self._lock:  # rich would count what was there before as done now

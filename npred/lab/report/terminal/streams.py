@@ -49,10 +49,7 @@ def folded(text: str, limit: int | None) -> str:
 
 
 def answer(text: str) -> None:
-    """The text and a line end on stdout, at once.
-
-    Raises NpredError where stdout is closed or full, BrokenPipeError where its reader has left, as `head` does.
-    """
+    """The text and a line end on stdout. Raises NpredError where it is closed or full, BrokenPipeError for `head`."""
     if sys.stdout is None:
         raise unwritable("a closed one")
     try:

@@ -118,10 +118,7 @@ class Reference:
 
 
 def entries(job: Job, reference: Reference) -> list[Candidate]:
-    """Every candidate. Runtimes whose packages are missing are left out, with a note.
-
-    Raises MissingError where none is left.
-    """
+    """Every candidate; a note of runtimes without their packages. Raises MissingError where none is left."""
     config, models = job.config.bench, job.config.train.models
     networks = {name: _network(job, name) for name in models}
     available, methods = _available(job.progress, config), one_step_methods(job.config, job.plant)
@@ -171,9 +168,7 @@ def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: s
 
 
 def one_step_methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
-    """The methods of a step per interval that serve the plant, by their rows' names: those that have a name,
-    and those that the pipeline takes.
-    """
+    """The pipeline's methods of a step per interval that serve the plant, by their rows' names."""
     kinds = {short_name(spec): method(spec) for spec in config.methods}
     refusal = problem_of(plant).refusal
     return {n: kind for n, kind in kinds.items() if issubclass(kind, OneStep | Rollout) and not refusal(kind.name)}
