@@ -153,8 +153,7 @@ class _World:
     def __init__(self, controller: Controller, size: float) -> None:
         self.plant, self.dt, self.random = controller.plant, controller.dt, generator(0, "self-test")
         self.middle = self.plant.target(0.0)
-        box = [self.plant.box.get(name, (0.0, 0.0)) for name in self.plant.states]
-        wide = np.array([(high - low) / 2 for low, high in box])
+        wide = np.ptp(self.plant.ranges(half=0.0), axis=1) / 2
         self.half = np.where(wide > 0, wide, 0.3 * np.maximum(np.abs(self.middle), 1.0))
         low, high = controller.settings.bounds
         self.D = min(max(0.7 * controller.D_hat, low), high)

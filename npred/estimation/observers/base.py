@@ -263,10 +263,9 @@ class Observer(ABC):
     @cached_property
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """Points of the box (POINTS, n), and its ends (2, n)."""
-        point = zip(self.plant.states, self.operating_point[0].tolist(), strict=True)
-        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a)))) for name, a in point]
-        low, high = np.array(ends).T
-        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
+        X = self.operating_point[0]
+        low, high = ends = self.plant.ranges(X, np.maximum(1.0, np.abs(X))).T
+        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), ends
 
 
 def _finite(rows: np.ndarray) -> np.ndarray:
