@@ -151,9 +151,8 @@ def _built(
     present = [series for series in every if series]
     if not all(every[: plant.m]) or len(present) == plant.m:
         got = f"{len(present)} columns with numbers"
-        raise ConfigError(
-            f"log: expected numbers and times for every input and an output, got {got}; check the columns"
-        )
+        cure = "check the columns"
+        raise ConfigError(f"log: expected numbers and times for every input and an output, got {got}; {cure}")
     return Log.of_series(every[: plant.m], every[plant.m :]), screening.of_clock(present, plant.time_unit)
 
 

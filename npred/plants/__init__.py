@@ -91,9 +91,8 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
         for key in table:
             if key not in takes:
                 raise ConfigError(unlisted(f"kappa {name}", key, takes[1:], "arguments", "drop it")) from None
-        raise ConfigError(
-            f"kappa {name}: expected what {name}({', '.join(takes)}) takes, got a table: {error}; write it"
-        ) from None
+        what, cure = f"kappa {name}: expected what {name}({', '.join(takes)}) takes", "write it"
+        raise ConfigError(f"{what}, got a table: {error}; {cure}") from None
     other = plant.controlled(design(plant, **table))
     other.law_table = {"law": name} | table
     return other

@@ -74,9 +74,8 @@ class Generate(LoopTable):
         if self.rollouts < 2:
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
         if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
-            raise ValueError(
-                f"samples: expected 1 to t_end / dt per rollout, got {self.samples} of {self.rollouts}; change either"
-            )
+            what, cure = "samples: expected 1 to t_end / dt per rollout", "change either"
+            raise ValueError(f"{what}, got {self.samples} of {self.rollouts}; {cure}")
         return self
 
 
@@ -142,19 +141,17 @@ class _Tables(Section):
             nodes = self.train.table(name).nodes
             if nodes and not self.generate.data and intervals % (nodes - 1):
                 counts = ", ".join(str(k + 1) for k in range(1, intervals + 1) if intervals % k == 0)
-                raise ValueError(
-                    f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}, got {nodes}; "
-                    f"take one of {counts}"
-                )
+                what = f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}"
+                cure = f"take one of {counts}"
+                raise ValueError(f"{what}, got {nodes}; {cure}")
         return self
 
     @model_validator(mode="after")
     def _check_name(self) -> Self:
         if not NAME.fullmatch(self.name):
-            raise ValueError(
-                f"name: expected up to 100 letters, digits, . _ and -, a letter or digit first, got {self.name!r}; "
-                "files are named after it: choose another"
-            )
+            what = "name: expected up to 100 letters, digits, . _ and -, a letter or digit first"
+            cure = "files are named after it: choose another"
+            raise ValueError(f"{what}, got {self.name!r}; {cure}")
         return self
 
     def optional(self, stage: str) -> Any:

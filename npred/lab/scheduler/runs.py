@@ -263,22 +263,19 @@ def table(source: Source) -> dict[str, Any]:
     """The pipeline as a plain dictionary; that of a plant has the defaults."""
     if isinstance(source, Plant):
         if source.spec is None:
-            raise ConfigError(
-                f"plant {source.name}: expected one with a name or a file, by which results are kept, got a class; "
-                "write it to a file, and name that: my_plant.py:Tank"
-            )
+            what = f"plant {source.name}: expected one with a name or a file, by which results are kept"
+            cure = "write it to a file, and name that: my_plant.py:Tank"
+            raise ConfigError(f"{what}, got a class; {cure}")
         if source.law and not source.law_table:
-            raise ConfigError(
-                f"plant {source.name}: expected a kappa by its name, by which results are kept, got a function; "
-                "write it to the plant's file"
-            )
+            what = f"plant {source.name}: expected a kappa by its name, by which results are kept"
+            cure = "write it to the plant's file"
+            raise ConfigError(f"{what}, got a function; {cure}")
         law = {"kappa": dict(source.law_table)} if source.law_table else {}
         name = re.sub(r"\W+", "_", source.name)
         return {"name": name, "plant": source.spec, "parameters": dict(source.parameters)} | law
     if not isinstance(source, str | Path | Pipeline):
-        raise ConfigError(
-            f"source: expected a pipeline or a plant, by name, file or as an object, got {source!r}; name one"
-        )
+        what, cure = "source: expected a pipeline or a plant, by name, file or as an object", "name one"
+        raise ConfigError(f"{what}, got {source!r}; {cure}")
     if isinstance(source, Pipeline):
         return source.model_dump(exclude_unset=True)
     if _file(source):

@@ -73,10 +73,9 @@ class Result(BaseModel):
             key = json_files.escaped(".".join(str(part) for part in first["loc"]))
             came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
             there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {words.expected(first)[0]}"
-            raise StoreError(
-                f"{source}: expected a result as this npred writes it, {there}, got {came}; make it anew with "
-                "npred run, or show it with the npred that wrote it"
-            ) from None
+            what = f"{source}: expected a result as this npred writes it, {there}"
+            cure = "make it anew with npred run, or show it with the npred that wrote it"
+            raise StoreError(f"{what}, got {came}; {cure}") from None
 
 
 @dataclass(frozen=True)

@@ -91,10 +91,8 @@ class Reference:
         """
         later = np.flatnonzero(~(test.t <= test.D))
         if not len(later):
-            raise ConfigError(
-                f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
-                "generate.t_end"
-            )
+            what, cure = "bench: expected held-out samples after the first delay", "lengthen generate.t_end"
+            raise ConfigError(f"{what}, got {len(test)} before it; {cure}")
         rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
         return cls(plant, test.X[rows], test.u[rows], test.D_hat[rows], test.t[rows])
 

@@ -25,9 +25,8 @@ def run(job: Job) -> IdentifiedResult:
     """Write page.html, its figures, and identified.h5 with their arrays."""
     table, plant = job.config.optional("identify"), job.plant
     if not table.files:
-        raise ConfigError(
-            "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
-        )
+        cure = "name one by data in [identify], or npred identify LOG"
+        raise ConfigError(f"identify: expected a recording, got none; {cure}")
     keys = dict(table)  # npred.identify takes the same names
     reading = {key: keys[key] for key in keys.keys() & Reading.__annotations__}
     log, notes = recorded(plant, table.files[0] if len(table.files) == 1 else table.files, **reading)
