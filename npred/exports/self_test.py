@@ -173,7 +173,9 @@ class _World:
         h = (t - self.t) / steps
         for k in range(steps):
             at = self.t + k * h
-            U = self._acting(at)
+            D = float(self.plant.delay(self.X, at)) if self.plant.declares_delay else self.D
+            arrived = (at - D * r for r in self.plant.ratios)
+            U = np.array([next(U[i] for t, U in reversed(self.sent) if t <= s) for i, s in enumerate(arrived)])
             rate = self.plant.f(self.X, U, at)
             self.X = self.X + h / 2 * (rate + self.plant.f(self.X + h * rate, U, at + h))
             self.X = np.clip(self.X, self.middle - 2 * self.half, self.middle + 2 * self.half)
@@ -181,11 +183,6 @@ class _World:
         if not (np.abs(self.X - self.middle) < 2 * self.half).all():
             self.kick()
         self.past.append(self.X)
-
-    def _acting(self, t: float) -> np.ndarray:
-        D = float(self.plant.delay(self.X, t)) if self.plant.declares_delay else self.D
-        late = (next(U[i] for at, U in reversed(self.sent) if at <= t - D * r) for i, r in enumerate(self.plant.ratios))
-        return np.array(list(late))
 
 
 def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:

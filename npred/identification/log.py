@@ -61,8 +61,8 @@ class Log:
                 [series and TimeSeries(*(a[run == k] for a in series)) for series, run in zip(every, runs, strict=True)]
                 for k in range(counts.pop() + 1)
             )
-            logs = [cls.of_series(part[: len(inputs)], part[len(inputs) :]) for part in parts if _long(part)]
-            return cls.joined(logs)
+            long = (part for part in parts if all(series is None or len(series.t) > BACK for series in part))
+            return cls.joined([cls.of_series(part[: len(inputs)], part[len(inputs) :]) for part in long])
         t = np.unique(np.concatenate([series.t for series in every if series]))
         columns, rows = np.full((len(t), len(every)), np.nan), np.zeros(len(t), dtype=int)
         for column, series in zip(columns.T, every, strict=True):
@@ -134,11 +134,6 @@ class Log:
         """The same without the commands that repeat the last one, which say nothing."""
         new = np.append(True, (np.diff(self.U, axis=0) != 0).any(axis=1))
         return replace(self, t_U=self.t_U[new], U=self.U[new])
-
-
-def _long(part: Sequence[TimeSeries | None]) -> bool:
-    """True if each series has the rows of a recording."""
-    return all(series is None or len(series.t) > BACK for series in part)
 
 
 def restarts(t: np.ndarray) -> np.ndarray:

@@ -366,7 +366,7 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
     held_out = judges.run(ranges.present, _stoppable)
     if training.settled.all() and held_out.settled.all():
         longest = float(max(training.time.max(), held_out.time.max()))
-        t_end = _whole(LONGER * longest, pipeline.evaluate.dt)
+        t_end = max(10, math.ceil(LONGER * longest / pipeline.evaluate.dt)) * pipeline.evaluate.dt
         loops, judges = (replace(each, t_end=t_end) for each in (loops, judges))
         training, held_out = (each.run(ranges.present, _stoppable) for each in (loops, judges))
     tries = table.evaluations or TRIES * len(ranges.low)
@@ -434,7 +434,7 @@ def _search(
     """
     import cma  # slow to import
 
-    tried, start, size = 0, ranges.start(), _points(len(ranges.low))
+    tried, start, size = 0, ranges.start(), 4 + int(3 * np.log(max(len(ranges.low), 2)))
     options: dict[str, Any] = {"bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}
     options["randn"] = lambda *shape: rng.standard_normal(shape)
     while tried + size <= evaluations:
@@ -445,16 +445,6 @@ def _search(
             search.tell(asked, costs([ranges.numbers(z) for z in asked]))
             tried += len(asked)
         start, size = rng.uniform(size=len(start)), 2 * size
-
-
-def _points(numbers: int) -> int:
-    """Settings per generation of CMA-ES."""
-    return 4 + int(3 * np.log(max(numbers, 2)))
-
-
-def _whole(seconds: float, dt: float) -> float:
-    """A time in whole control steps, at least ten, not shorter than that."""
-    return max(10, math.ceil(seconds / dt)) * dt
 
 
 def _stoppable(steps: int) -> None:

@@ -128,13 +128,9 @@ def ranked(predictors: Iterable[PredictorId]) -> list[PredictorId]:
     return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in predictors]
 
 
-def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:
-    return dict(zip(ranked(values), values.values(), strict=True))
-
-
 NUMERICAL, NO_ADAPTATION = PredictorId("numerical"), PredictorId("no_adaptation")
 Name = Annotated[PredictorId, BeforeValidator(PredictorId.parse), PlainSerializer(lambda c: c.name, return_type=str)]
-RANKED = AfterValidator(_by_ranked)  # for a table by Name
+RANKED = AfterValidator(lambda values: dict(zip(ranked(values), values.values(), strict=True)))  # for a table by Name
 
 
 class Generated(Result):
