@@ -16,7 +16,7 @@ from npred.base import json_files, notebook
 from npred.base.defaults import RESULT
 from npred.base.errors import StoreError
 from npred.base.registry import NETWORKS
-from npred.lab.config import words
+from npred.lab.config import section
 
 T = TypeVar("T")
 
@@ -72,7 +72,7 @@ class Result(BaseModel):
             first = error.errors()[0]
             key = json_files.escaped(".".join(str(part) for part in first["loc"]))
             came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
-            there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {words.expected(first)[0]}"
+            there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {section.expected(first)[0]}"
             what = f"{source}: expected a result as this npred writes it, {there}"
             cure = "make it anew with npred run, or show it with the npred that wrote it"
             raise StoreError(f"{what}, got {came}; {cure}") from None

@@ -9,12 +9,13 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.identification.identified import RIVALS, Identified
 from npred.identification.identify import Reading, Settings, of_log, recorded
+from npred.lab.config import dumps
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.report.figures import identified as drawings
 from npred.lab.report.figures.figure import Figure, write
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.report import html_page, toml_text
+from npred.lab.stages.report import html_page
 
 PAGE = "page.html"
 LAGS = 40
@@ -125,7 +126,7 @@ def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
         figures=figures,
         tables=[table for table in tables if table.rows],
         facts={"Recording": {"files": files, "samples": str(result.samples)}},
-        settings=toml_text.dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
+        settings=dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
     )
 
 
