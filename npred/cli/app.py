@@ -57,9 +57,8 @@ class Root(TyperGroup):
     """The commands; a name that only a group has is answered with the group's, `npred check` with `plants check`."""
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
-        nested = {
-            name: f"{group} {name}" for group, each in self.commands.items() for name in getattr(each, "commands", ())
-        }
+        groups = {group: getattr(each, "commands", ()) for group, each in self.commands.items()}
+        nested = {name: f"{group} {name}" for group, names in groups.items() for name in names}
         close = get_close_matches(args[0], nested, n=1)
         if close and not get_close_matches(args[0], self.commands):
             ctx.fail(f"No such command '{args[0]}'. Did you mean '{nested[close[0]]}'?")

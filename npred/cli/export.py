@@ -113,9 +113,8 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
     else:
         predictor = numerical(options.predictor, plant, nx)
     predictor = Guarded(predictor, exact=exact, **guard) if guard else predictor
-    controller = of_table(
-        plant, predictor, table, max_sample_age=options.max_sample_age, watchdog=watchdog(options.watchdog)
-    )
+    more = {"max_sample_age": options.max_sample_age, "watchdog": watchdog(options.watchdog)}
+    controller = of_table(plant, predictor, table, **more)
     if controller.actuator == HISTORY and table.adaptation == PAPER:
         options.console.warn(RECALLS)
     about = f"{pipeline.name}:{predictor.name}"

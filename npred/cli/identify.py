@@ -95,9 +95,8 @@ class Recorded(Staged):
             "shift": {key: _number("--shift", text) for key, text in shifts.items()},
             "bounds": {key: [_number("--bounds", end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
-        table.setdefault("identify", {}).update(
-            {key: value for key, value in named.items() if value not in (None, [], {})}
-        )
+        filled = {key: value for key, value in named.items() if value not in (None, [], {})}
+        table.setdefault("identify", {}).update(filled)
         for override in self.set or []:
             config.override(table, override)
         return config.parse(table, str(self.pipeline))

@@ -191,10 +191,8 @@ class Findings:
         if self.closed > CLOSED:
             return "the commands follow the outputs: the log is of a closed loop without a test signal. Add one."
         if self.early[j] < 0:
-            first = (
-                f"the log fits best with {name} {time(-self.early[j], '.3g')} before its command. Either it is logged"
-            )
-            cure = "late, or it is not constant between two rows: check the clocks, try --hold linear."
+            first = f"the log fits best with {name} {time(-self.early[j], '.3g')} before its command. Either it is"
+            cure = "logged late, or it is not constant between two rows: check the clocks, try --hold linear."
             return f"{first} {cure} Any delay of {span} is possible."
         if self._off:
             return "the plant, with its parameters, does not explain the log."
@@ -237,8 +235,7 @@ class Findings:
         if not self.combination:
             return []
         names, factors, value, deviation = self.combination
-        terms = " + ".join(
-            name if abs(f - 1) < 5e-4 else f"{f:.3g} {name}" for name, f in zip(names, factors, strict=True)
-        )
+        parts = zip(names, factors, strict=True)
+        terms = " + ".join(name if abs(f - 1) < 5e-4 else f"{f:.3g} {name}" for name, f in parts)
         sum_is = f"{terms.replace('+ -', '- ')} = {value:.4g} ± {2 * deviation:.2g}"
         return [f"Of {' and '.join(names)} only a combination is known, near these values: {sum_is}."]

@@ -269,9 +269,8 @@ def _far(plant: Plant, log: Log) -> list[str]:
         if name in plant.box and np.isfinite(y).any():
             (low, high), (least, most) = plant.box[name], np.nanquantile(y, [0.1, 0.9])
             if max(low - least, most - high) > FAR * (high - low):
-                both = (
-                    f"{name} is {least:.3g} to {most:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
-                )
+                span = f"{low:g} to {high:g} in the plant's box"
+                both = f"{name} is {least:.3g} to {most:.3g} in the recording, and {span}"
                 angle = plant.units.get(name, "").startswith("rad")
                 cure = f", from degrees by the factor {np.pi / 180:.6g}" if angle else ""
                 lines.append(f"{both}: if the units differ, scale its column{cure}.")

@@ -206,9 +206,8 @@ class Segments:
         row = np.arange(len(events)) - (np.cumsum(counts) - counts)[owner]
         begins = np.where(row == 0, starts[owner], np.append(0.0, events[:-1]))
         middle = (begins + events) / 2
-        held = np.stack(
-            [log.U[np.maximum(np.searchsorted(a, middle, side="right") - 1, 0), j] for j, a in enumerate(arrivals.T)], 1
-        )
+        places = (np.maximum(np.searchsorted(a, middle, side="right") - 1, 0) for a in arrivals.T)
+        held = np.stack([log.U[place, j] for j, place in enumerate(places)], 1)
         most, S = int(counts.max()), len(self)
         u, spans, moments = np.zeros((most, held.shape[1], S)), np.zeros((most, S)), np.zeros((most, S))
         u[row, :, owner], spans[row, owner], moments[row, owner] = held, events - begins, begins

@@ -171,9 +171,7 @@ def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
     filled = {key: value for key, value in table.items() if value is not None}
     leaves = [f"{_written(key)} = {_value(value)}" for key, value in filled.items() if not isinstance(value, Mapping)]
     head = ["", f"[{'.'.join(map(_written, path))}]"] if path and (leaves or not filled) else []
-    below = [
-        line for key, value in filled.items() if isinstance(value, Mapping) for line in _lines(value, (*path, key))
-    ]
+    below = [line for k, v in filled.items() if isinstance(v, Mapping) for line in _lines(v, (*path, k))]
     return [*head, *leaves, *below]
 
 
@@ -187,9 +185,8 @@ def _value(value: object) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return (
-            f"{{ {', '.join(f'{_written(key)} = {_value(item)}' for key, item in value.items() if item is not None)} }}"
-        )
+        filled = {_written(key): _value(item) for key, item in value.items() if item is not None}
+        return f"{{ {', '.join(f'{key} = {item}' for key, item in filled.items())} }}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     return repr(value)

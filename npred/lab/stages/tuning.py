@@ -481,9 +481,8 @@ def _judged(yardstick: Yardstick, before: Settling, after: Settling, seed: int) 
     both = before.settled & after.settled
     pairs = {name: [np.where(both, getattr(each, name), np.nan) for each in (before, after)] for name in FIGURES}
     pairs["cost"] = [yardstick.costs(each) for each in (before, after)]
-    figures = {
-        name: compared(old, new, randomness.generator(seed, "tune", "bootstrap")) for name, (old, new) in pairs.items()
-    }
+    drawn = ((name, *pair, randomness.generator(seed, "tune", "bootstrap")) for name, pair in pairs.items())
+    figures = {name: compared(*each) for name, *each in drawn}
     return JudgedLoops(
         loops=before.time.size, cost=figures["cost"], settle_time=figures["time"], peak=figures["peak"],
         effort=figures["effort"], unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),

@@ -196,9 +196,8 @@ class Store:
         if of_stage:
             return of_stage[-1]
         stage, _, prefix = reference.rpartition("/")
-        matching = [
-            a for a in everything if a.manifest.key.startswith(prefix) and stage in ("", a.manifest.question.stage)
-        ]
+        keyed = [a for a in everything if a.manifest.key.startswith(prefix)]
+        matching = [a for a in keyed if stage in ("", a.manifest.question.stage)]
         if len(matching) != 1 or not prefix:
             names = ", ".join(a.name for a in matching[:4]) or "none"
             stored = {*STAGES, *NETWORKS.names(), *(q.model for _, q in asked if q.model)}

@@ -25,9 +25,7 @@ from npred.lab.report.terminal.streams import MESSAGES, is_terminal, printable
 MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
 SECONDS = 0.5  # between two updates in a notebook
 WIDTH = 110  # columns there
-ECHO = (
-    4  # columns left free at its right: the ^C that a terminal shows must not begin a line that the view does not know
-)
+ECHO = 4  # columns left free at its right: a terminal's ^C must not begin a line that the view does not know
 BAR = 24  # columns of a bar
 BESIDE = 90  # columns that a training's name, words and times take: on a narrow screen the bar gives way first
 FORMAT = '<pre style="margin: 0; line-height: 1.3; font-family: monospace">{code}</pre>'

@@ -147,9 +147,8 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
         rows += rivals(methods, reference, eps, name)
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
-    return rows + [
-        Candidate(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
-    ]
+    coarse = ((nx, rival, methods[rival](job.plant, nx)) for nx, rival in coarse_grids)
+    return rows + [Candidate(rival, "compiled", nx, 1, run, "front") for nx, rival, run in coarse]
 
 
 def _network(job: Job, name: str) -> TrainedOperator:

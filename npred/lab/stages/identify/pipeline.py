@@ -111,9 +111,8 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     tables = {"name": asked.name, **here, "parameters": values, "generate": generate, "evaluate": evaluate}
     if differ and plant.traced:
         tables["delays"] = [_short(max(d, dt)) for d in delays]
-    pipeline = config.parse(
-        {key: value for key, value in (tables | {"plant": asked.plant}).items() if value}, str(path)
-    )
+    kept = {key: value for key, value in (tables | {"plant": asked.plant}).items() if value}
+    pipeline = config.parse(kept, str(path))
     for answer in pipeline_fit.check(plants.resolve(*pipeline.of_plant), pipeline):
         if answer.verdict == "no":
             raise ConfigError(f"npred plants check would say no for {answer.check}: {answer.text}")
