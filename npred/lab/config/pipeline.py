@@ -8,21 +8,10 @@ from pydantic import Field, create_model, model_validator
 
 from npred.base import registry
 from npred.base.registry import METHODS
+from npred.lab.config import section
 from npred.lab.config.evaluate import Evaluate
 from npred.lab.config.loop import LoopTable
-from npred.lab.config.section import (
-    Baseline,
-    Count,
-    Delay,
-    Kappa,
-    Number,
-    Positive,
-    Range,
-    Runtime,
-    Section,
-    Some,
-    Span,
-)
+from npred.lab.config.section import Baseline, Count, Delay, Number, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # a pipeline's name
@@ -126,7 +115,7 @@ class _Tables(Section):
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, Number] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
-    kappa: Kappa | dict[str, Any] | Literal[""] = ""
+    kappa: section.Kappa | dict[str, Any] | Literal[""] = ""
     delays: list[Delay] | None = None  #: the delay of each input, if they differ; by default the plant's
     generate: Generate = Generate()
     train: Train = Train()

@@ -50,18 +50,13 @@ def folded(text: str, limit: int | None) -> str:
 
 def answer(text: str) -> None:
     """The text and a line end on stdout. Raises NpredError where it is closed or full, BrokenPipeError for `head`."""
-    if sys.stdout is None:
-        raise unwritable("a closed one")
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
-    except BrokenPipeError:
-        silence(sys.stdout)
-        raise
     except OSError as error:
         silence(sys.stdout)
-        raise unwritable(error.strerror) from None
-    except ValueError:  # the file is closed
+        raise error if isinstance(error, BrokenPipeError) else unwritable(error.strerror) from None
+    except (ValueError, AttributeError):  # the file is closed, or there is none
         raise unwritable("a closed one") from None
 
 
