@@ -57,7 +57,7 @@ class DelayAdaptation(DelayLaw):
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """gamma phi, which the bounds make gamma Proj{D_hat, phi}."""
         return self.gamma * self.phi(plant, X, u, P, D_hat, t)
 

@@ -45,7 +45,7 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
 
 def resolve(
     name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "", delays: Sequence[float] | None = None
-) -> Plant:  # fmt: skip
+) -> Plant:
     """The plant as `plant` makes it, its parameters in a table.
 
     `kappa` may also be a table of a law's name and its arguments, {"law": "pole_placement", "poles": [-1, -2]}.

@@ -468,7 +468,7 @@ def compared(before: np.ndarray, after: np.ndarray, rng: np.random.Generator) ->
     low, high = np.quantile(1 - drawn[1] / drawn[0], [0.025, 0.975])
     return BeforeAfter(
         before=means[0], after=means[1], gain=1 - means[1] / means[0], interval=(float(low), float(high))
-    )  # fmt: skip
+    )
 
 
 def said(numbers: Mapping[str, float]) -> str:
