@@ -43,7 +43,7 @@ OTHERS = {  # by name: module:function, help, and what is said of a command that
     "diff": ("inspect:diff", "Compare two results: their questions, and their answers."),
     "init": ("scaffold:init", "Write a new plant to start from: NAME.py and NAME.toml in this folder."),
     "verify": ("store_admin:verify", "Compare every file of every result with its digest; exit 4 if one differs."),
-    "gc": ("gc:gc", "Print which results no pipeline needs; with --yes, delete them."),
+    "gc": ("store_admin:gc", "Print which results no pipeline needs; with --yes, delete them."),
     "doctor": ("store_admin:doctor", "Print versions, devices, threads and the state of the store.", READING),
 }
 LOOK: dict[str, Any] = {
