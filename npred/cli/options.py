@@ -48,7 +48,6 @@ class Common:
 
     @cached_property
     def results(self) -> "Store":
-        """The store of results."""
         from npred.lab.store import Store
 
         return Store(self.store)
@@ -86,7 +85,6 @@ class Piped(Common):
 
     @cached_property
     def config(self) -> "Pipeline":
-        """The pipeline, resolved."""
         from npred.lab import config
 
         return config.load(self.pipeline, self.set)

@@ -26,7 +26,6 @@ class Profile:
 
     @property
     def costs(self) -> np.ndarray:
-        """The least costs."""
         return np.array([fit.cost for fit in self.fits])
 
 

@@ -78,7 +78,6 @@ def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **l
 
 
 def legend(predictors: Sequence[PredictorId]) -> list[LegendEntry]:
-    """An entry for each predictor."""
     return [LegendEntry(predictor.label, line_of(predictor)) for predictor in predictors]
 
 

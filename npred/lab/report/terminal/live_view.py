@@ -35,7 +35,6 @@ class RunningBar(BarColumn):
     """The bar of a stage that counts its units, and of no other."""
 
     def render(self, task: Task) -> RenderableType:  # type: ignore[override]
-        """The bar, or nothing."""
         return super().render(task) if task.total else Text("")
 
 
@@ -47,7 +46,6 @@ class Words(ProgressColumn):
         self.what = what
 
     def render(self, task: Task) -> Text:
-        """The words on one line."""
         words = task.description if self.what == "description" else task.fields["doing"]
         return Text(words, no_wrap=True, overflow="ellipsis")
 
@@ -59,7 +57,6 @@ class Narrower:
     rows: RenderableType
 
     def __rich_console__(self, console: RichConsole, options: ConsoleOptions) -> RenderResult:
-        """The rows."""
         yield from console.render(self.rows, options.update_width(options.max_width - ECHO))
 
 
@@ -125,7 +122,6 @@ class LiveView(Progress):
                 self.finish(title, "stopped")
 
     def get_renderables(self) -> Iterable[RenderableType]:
-        """The heading and the table."""
         if self.heading:
             yield Text(escaped(self.heading), "bold", no_wrap=True, overflow="ellipsis")
         yield Narrower(self.make_tasks_table(self.tasks))

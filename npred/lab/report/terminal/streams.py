@@ -96,7 +96,6 @@ class Messages:
 
     @property
     def encoding(self) -> str:
-        """That of stderr."""
         return getattr(self.stream, "encoding", None) or "utf-8"
 
     def write(self, text: str) -> int:
@@ -108,14 +107,12 @@ class Messages:
         return len(text)
 
     def flush(self) -> None:
-        """Flush, where that is possible."""
         try:
             self.stream.flush()
         except (OSError, ValueError):
             silence(self.stream)
 
     def isatty(self) -> bool:
-        """True if it is a screen."""
         return is_terminal(self.stream)
 
 

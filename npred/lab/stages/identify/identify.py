@@ -65,7 +65,6 @@ def run(job: Job) -> IdentifiedResult:
 
 
 def summary(result: IdentifiedResult, width: int | None = None) -> str:
-    """The answer in sentences."""
     return "\n".join(result.sentences)
 
 
