@@ -131,7 +131,8 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
 
 def _excitation(plant: Plant, D: float, b: float, cells: int) -> np.ndarray:
     """∫ R dt of `suited_gamma`, (STARTS,), by Heun's method."""
-    limits, X = inputs.bounds(plant, None), np.random.default_rng(0).uniform(*plant.ranges().T, (STARTS, plant.n))
+    limits, (low, high) = inputs.bounds(plant, None), plant.ranges().T
+    X = np.random.default_rng(0).uniform(low, high, (STARTS, plant.n))
     slowest = -np.linalg.eigvals(plant.linearised()[0]).real.max() if plant.rests else 0.0
     h = max(SPAN * D, SETTLING / slowest if slowest > 0 else 0.0) / cells
     past = np.broadcast_to(plant.u_target(0.0) if plant.rests or plant.tracks else np.zeros(plant.m), (STARTS, plant.m))

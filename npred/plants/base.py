@@ -137,7 +137,8 @@ class Plant(InNotebook):
 
     def drawn(self, purpose: str, count: int) -> np.ndarray:
         """Random states of these ranges, (count, n)."""
-        return randomness.generator(0, purpose).uniform(*self.ranges().T, (count, self.n))
+        low, high = self.ranges().T
+        return randomness.generator(0, purpose).uniform(low, high, (count, self.n))
 
     @cached_property
     def settle(self) -> Kernel:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -481,8 +481,8 @@ def _judged(yardstick: Yardstick, before: Settling, after: Settling, seed: int) 
     both = before.settled & after.settled
     pairs = {name: [np.where(both, getattr(each, name), np.nan) for each in (before, after)] for name in FIGURES}
     pairs["cost"] = [yardstick.costs(each) for each in (before, after)]
-    drawn = ((name, *pair, randomness.generator(seed, "tune", "bootstrap")) for name, pair in pairs.items())
-    figures = {name: compared(*each) for name, *each in drawn}
+    bootstrap = partial(randomness.generator, seed, "tune", "bootstrap")
+    figures = {name: compared(old, new, bootstrap()) for name, (old, new) in pairs.items()}
     return JudgedLoops(
         loops=before.time.size, cost=figures["cost"], settle_time=figures["time"], peak=figures["peak"],
         effort=figures["effort"], unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),
