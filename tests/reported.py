@@ -6,9 +6,9 @@ from jobs import tables
 from silent import Silent
 
 from npred.lab import config
+from npred.lab.config import dumps
 from npred.lab.scheduler.plan import Planner, nodes, usual
 from npred.lab.scheduler.runner import Outcome, Runner
-from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
 
 MAP = {
@@ -25,7 +25,7 @@ BENCH = {"dx": [0.1], "calls": 10, "batches": [1]}
 def run(folder: Path) -> tuple[Path, dict[str, Outcome]]:
     """The pipeline's file beside its store, and what became of each node."""
     path = folder / "tiny.toml"
-    path.write_text(toml_text.dumps({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH, generate=REDRAW)))
+    path.write_text(dumps({"name": "tiny"} | tables(evaluate=MAP, bench=BENCH, generate=REDRAW)))
     made = config.load(path)
     planner = Planner(made, Store(folder / "store"), "cpu")
     console: object = Silent()

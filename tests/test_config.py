@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from npred.base.errors import ConfigError
 from npred.lab import config
+from npred.lab.config import dumps
 from npred.lab.config.file import _leaves, put
-from npred.lab.stages.report import toml_text
 from npred.loop.measurement import Sensors
 
 PIPELINES = sorted((Path(__file__).parent.parent / "pipeline").glob("*.toml"))
@@ -318,7 +318,7 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
     dump = some.model_dump()
     assert set(dump["evaluate"]) == set(config.Evaluate.model_fields)
     assert set(dump["evaluate"]["scenarios"][0]) == set(config.Scenario.model_fields)
-    assert config.parse(dump, "dump") == config.parse(tomllib.loads(toml_text.dumps(dump)), "page") == some
+    assert config.parse(dump, "dump") == config.parse(tomllib.loads(dumps(dump)), "page") == some
 
 
 @pytest.mark.parametrize(

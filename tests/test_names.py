@@ -13,9 +13,6 @@ from npred import plants
 
 PACKAGE = Path(plants.__file__).parent.parent
 NAMES = [row["name"] for row in plants.named() if plants.is_builtin(row["name"])]
-EXCEPTIONS = {
-    "activator_repressor": {"npred/cli/commands.py"}  # the plant of the data that [DAPF]'s authors published
-}
 ODD = re.compile(
     r"\bmend\b|\bone an? (?:state|input|loop|joint)\b|\ba number an? \w+|\b[µn]s an? (?:call|evaluation)"
     r"|\b(?:of|has|have) (?:one's|its|their|your|npred's) own\b|\bone's own\b|\bin the place of\b|\bas ever\b"
@@ -41,7 +38,7 @@ def matches(pattern: str | re.Pattern[str], files: Texts) -> list[str]:
 
 def plants_named_elsewhere(name: str, kind: str, own: str, files: Texts) -> list[str]:
     """Where a plant is named outside its file: as a class, a string or a module; scalar is a word too."""
-    others = {file: text for file, text in files.items() if file not in {own} | EXCEPTIONS.get(name, set())}
+    others = {file: text for file, text in files.items() if file != own}
     return matches(rf"\b{kind}\b|[\"'.]{name}\b", others)
 
 

@@ -14,10 +14,10 @@ from jobs import tables
 
 import npred
 from npred.base.errors import ConfigError
+from npred.lab.config import dumps
 from npred.lab.config.results import Evaluated, PredictorId
 from npred.lab.scheduler import sources
 from npred.lab.scheduler.plan import Planner, nodes
-from npred.lab.stages.report import toml_text
 from npred.lab.store import Store
 
 NOTEBOOK = HERE.parent / "docs" / "notebooks" / "network.ipynb"
@@ -29,7 +29,7 @@ def small(tmp_path: Path) -> Path:
     made = tables()
     made["train"] |= {"models": ["deeponet"]}
     path = tmp_path / "small.toml"
-    path.write_text(toml_text.dumps({"name": "small"} | made))
+    path.write_text(dumps({"name": "small"} | made))
     return path
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import npred
 from npred.cli import app
-from npred.lab.stages.report import toml_text
+from npred.lab.config import dumps
 from npred.lab.training import operators
 
 Child = Callable[..., subprocess.CompletedProcess[str]]
@@ -32,7 +32,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("small")
     bench = {"dx": [0.1], "calls": 10, "batches": [1]}
     path = folder / "p.toml"
-    path.write_text(toml_text.dumps({"name": "p"} | tables(bench=bench)))
+    path.write_text(dumps({"name": "p"} | tables(bench=bench)))
     done = CliRunner().invoke(app, ["train", str(path), "--store", str(folder / "store"), "-q", "--jobs", "1"])
     assert done.exit_code == 0, done.output
     return folder
@@ -208,7 +208,7 @@ def test_a_certificate_of_a_plant_whose_search_takes_no_gradient(tmp_path):
     start = {"adaptation": "frozen", "X0": [0.5, 0.5, 0.5], "D": 0.6, "D_hat": 0.6, "case_D_hat": [0.6]}
     data = {"adaptation": "frozen", "D": 0.6, "D_hat": [[0.55, 0.65]]}
     changes = {"plant": "unicycle", "generate": data, "evaluate": start, "certify": CERTIFY}
-    (tmp_path / "p.toml").write_text(toml_text.dumps({"name": "p"} | tables(**changes)))
+    (tmp_path / "p.toml").write_text(dumps({"name": "p"} | tables(**changes)))
     made = ["--store", str(tmp_path / "store"), "-q", "--jobs", "1"]
     done = CliRunner().invoke(app, ["train", str(tmp_path / "p.toml"), *made])
     assert done.exit_code == 0, done.output

@@ -95,9 +95,8 @@ def batch(**leading: tuple[int, ...]) -> tuple[int, ...]:
         return np.broadcast_shapes(*leading.values())
     except ValueError:
         axes = ", ".join(f"{name} {shape}" for name, shape in leading.items())
-        raise ConfigError(
-            f"expected batches that broadcast, got leading axes {axes}; give each one loop a row"
-        ) from None
+        cure = "give each one loop a row"
+        raise ConfigError(f"expected batches that broadcast, got leading axes {axes}; {cure}") from None
 
 
 def fits(shape: tuple[int, ...], target: tuple[int, ...]) -> bool:

@@ -59,6 +59,5 @@ def _only() -> Path:
     if len(here) == 1:
         return here[0]
     files = ", ".join(map(str, here)) or "no TOML file"
-    raise ConfigError(
-        f"expected the name of a pipeline, or one TOML file here, got {files}; name a pipeline, as in npred run smoke"
-    )
+    cure = "name a pipeline, as in npred run smoke"
+    raise ConfigError(f"expected the name of a pipeline, or one TOML file here, got {files}; {cure}")

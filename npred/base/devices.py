@@ -24,10 +24,7 @@ _GPUS = Path("/proc/driver/nvidia/gpus")
 
 
 def resolve(requested: str) -> str:
-    """The device meant by `auto`, `cpu`, `cuda` or `cuda:N`, found without importing torch.
-
-    Raises ConfigError for anything else.
-    """
+    """The device meant by `auto`, `cpu`, `cuda` or `cuda:N`, without torch. Raises ConfigError for anything else."""
     if requested == "auto":
         built_for_cpu = "+cpu" in (package("torch") or "+cpu")
         hidden = os.environ.get("CUDA_VISIBLE_DEVICES") in ("", "-1")

@@ -112,9 +112,7 @@ def room_on_disk(root: Path) -> Iterator[None]:
 
 
 def disk_is_full(error: BaseException | None) -> bool:
-    """Whether an error, or its cause, is a full disk or a quota used up; not where it was raised `from None`,
-    for then it says of which disk it is.
-    """
+    """Whether an error or its cause is a full disk; not where it was raised `from None`: then it says of which disk."""
     if error is None:
         return False
     numbered = isinstance(error, OSError) and error.errno in _FULL

@@ -16,9 +16,7 @@ LIMIT = 16 * 2**20  # bytes; the largest that npred writes, the manifest of thou
 
 
 def read(path: Path, limit: int = LIMIT) -> bytes:
-    """The bytes of a regular file. Raises OSError where it cannot be read, ValueError for a link, device or pipe, or
-    for more than `limit` bytes.
-    """
+    """A regular file's bytes. Raises OSError, and ValueError for a link, device or pipe, or more than `limit` bytes."""
     status = os.lstat(path)
     if not stat.S_ISREG(status.st_mode):
         raise ValueError("a link, a folder or a device")

@@ -46,7 +46,6 @@ class Pending:
         self.start = self.began = self.latest = time.perf_counter()
 
     def advance(self, n: int) -> None:
-        """n units more are done."""
         self.latest = time.perf_counter()
         if not self.done and n == 0:
             self.began = self.latest

@@ -349,16 +349,11 @@ def _branch(node: Any) -> Any:
 
 
 def load(what: str, spec: str) -> tuple[Any, Source]:
-    """Run the file: the class, and the text of the file.
-
-    Raises ConfigError, in one line, where either is missing or the file fails.
-    """
+    """Run the file: the class, and the text. Raises ConfigError, in one line, without either or where it fails."""
     path, name = split(spec)
     if not path.is_file():  # a pipe or a device would be read without an end
-        raise ConfigError(
-            f"{what} {spec}: expected a Python file, found none at {path}; check the path, which a pipeline gives from "
-            "its folder and the command line from yours"
-        )
+        cure = "check the path, which a pipeline gives from its folder and the command line from yours"
+        raise ConfigError(f"{what} {spec}: expected a Python file, found none at {path}; {cure}")
     content = path.read_bytes()
     space: dict[str, Any] = {"__name__": path.stem, "__file__": str(path)}
     code = _compiled(what, path, content)
@@ -368,9 +363,8 @@ def load(what: str, spec: str) -> tuple[Any, Source]:
         from npred.base import source_lines
 
         line = source_lines.last_line(error, str(path))
-        raise ConfigError(
-            f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; python {path} shows more"
-        ) from None
+        cure = f"python {path} shows more"
+        raise ConfigError(f"{what} {path}{line}: failed on import: {source_lines.one_line(error)}; {cure}") from None
     if not isinstance(space.get(name), type):
         classes = [key for key, value in space.items() if isinstance(value, type) and value.__module__ == path.stem]
         raise ConfigError(

@@ -34,9 +34,7 @@ def last_line(error: BaseException, file: str) -> str:
 def failed(error: BaseException, function: Callable[..., Any]) -> str:
     """The rest of the last such line from where it failed, as it is written there: np.sin(x.h) + 1; else ""."""
     code = _code(function)
-    frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if code and frame.filename == code.co_filename
-    ]
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if code and f.filename == code.co_filename]
     if not frames or frames[-1].lineno is None or frames[-1].colno is None:
         return ""
     return linecache.getline(frames[-1].filename, frames[-1].lineno).encode()[frames[-1].colno :].decode()

@@ -43,7 +43,7 @@ OTHERS = {  # by name: module:function, help, and what is said of a command that
     "diff": ("inspect:diff", "Compare two results: their questions, and their answers."),
     "init": ("scaffold:init", "Write a new plant to start from: NAME.py and NAME.toml in this folder."),
     "verify": ("store_admin:verify", "Compare every file of every result with its digest; exit 4 if one differs."),
-    "gc": ("gc:gc", "Print which results no pipeline needs; with --yes, delete them."),
+    "gc": ("store_admin:gc", "Print which results no pipeline needs; with --yes, delete them."),
     "doctor": ("store_admin:doctor", "Print versions, devices, threads and the state of the store.", READING),
 }
 LOOK: dict[str, Any] = {
@@ -57,9 +57,8 @@ class Root(TyperGroup):
     """The commands; a name that only a group has is answered with the group's, `npred check` with `plants check`."""
 
     def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
-        nested = {
-            name: f"{group} {name}" for group, each in self.commands.items() for name in getattr(each, "commands", ())
-        }
+        groups = {group: getattr(each, "commands", ()) for group, each in self.commands.items()}
+        nested = {name: f"{group} {name}" for group, names in groups.items() for name in names}
         close = get_close_matches(args[0], nested, n=1)
         if close and not get_close_matches(args[0], self.commands):
             ctx.fail(f"No such command '{args[0]}'. Did you mean '{nested[close[0]]}'?")

@@ -14,11 +14,10 @@ from npred.cli.execute import bring
 from npred.cli.options import Staged, argument, flag, rewritable
 from npred.identification.recordings import USUAL
 from npred.lab import config
-from npred.lab.config import Pipeline
+from npred.lab.config import Pipeline, dumps
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.stages.identify import pipeline
 from npred.lab.stages.identify.identify import PAGE
-from npred.lab.stages.report import toml_text
 
 
 @dataclass(frozen=True)
@@ -96,9 +95,8 @@ class Recorded(Staged):
             "shift": {key: _number("--shift", text) for key, text in shifts.items()},
             "bounds": {key: [_number("--bounds", end) for end in text.split(":")] for key, text in ranges.items()},
         }  # fmt: skip
-        table.setdefault("identify", {}).update(
-            {key: value for key, value in named.items() if value not in (None, [], {})}
-        )
+        filled = {key: value for key, value in named.items() if value not in (None, [], {})}
+        table.setdefault("identify", {}).update(filled)
         for override in self.set or []:
             config.override(table, override)
         return config.parse(table, str(self.pipeline))
@@ -165,7 +163,7 @@ def identify(
         else:
             head = "".join(f"# {line}\n" for line in [*result.sentences, *remarks])
             logs = " ".join(log.name for log in options.logs)
-            path.write_text(f"{target} {logs}\n{head}\n{toml_text.dumps(tables)}", encoding="utf-8")
+            path.write_text(f"{target} {logs}\n{head}\n{dumps(tables)}", encoding="utf-8")
             files.append(path)
     said = "\n".join([*result.sentences, *remarks, *(f"wrote {file}" for file in files)])
     options.show(result.json_object() | {"remarks": remarks, "files": list(map(str, files))}, lambda: said)

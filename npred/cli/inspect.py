@@ -33,10 +33,7 @@ def status(
 
 
 def why(options: Planned, *, stage: Annotated[str, argument(None, "A stage, or a network.")]) -> None:
-    """The reason of a stage, of a network, or of a result of an installed package: then no pipeline is read.
-
-    Raises ConfigError for another name.
-    """
+    """The reason of a stage, a network, or a package's result without a pipeline; else raises ConfigError."""
     brought = map(RESOLVERS.installed, RESOLVERS.names())
     planners = [planner for module in brought for planner in module.planners(options.results, stage)]
     asked = [step for planner in planners for step in planner.plan(planner.nodes())]

@@ -23,10 +23,7 @@ if TYPE_CHECKING:  # pydantic and filelock come with these, which `npred --help`
 def flag(
     help: str, *names: str, word: str | None = None, least: float | None = None, variable: str | None = None
 ) -> OptionInfo:
-    """A flag for typer. `word` stands for its value in the help.
-
-    Its number is at least `least`; an environment `variable` replaces its default.
-    """
+    """A flag for typer: `word` for its value, the `least` number, an environment `variable` for its default."""
     return typer.Option(*names, help=help, metavar=word, min=least, envvar=variable)
 
 
@@ -51,7 +48,6 @@ class Common:
 
     @cached_property
     def results(self) -> "Store":
-        """The store of results."""
         from npred.lab.store import Store
 
         return Store(self.store)
@@ -89,7 +85,6 @@ class Piped(Common):
 
     @cached_property
     def config(self) -> "Pipeline":
-        """The pipeline, resolved."""
         from npred.lab import config
 
         return config.load(self.pipeline, self.set)

@@ -81,9 +81,7 @@ def source_of(options: Piped) -> str:
 
 
 def free_path(options: Piped, name: str, of: Callable[[str], Path]) -> Path:
-    """`of(name)`, a page or a folder; where that is another pipeline's, that of NAME-FOLDER after the
-    file's folder, else with a digest. A line says which is whose.
-    """
+    """`of(name)`, a page or a folder; where another pipeline has it, with the folder's name or a digest, and a note."""
     source, folder = source_of(options), re.sub(r"[^\w.-]", "_", options.pipeline.absolute().parent.name)
     names = [name, f"{name}-{folder}", f"{name}-{hashlib.sha256(os.fsencode(source)).hexdigest()[:8]}"]
     owners = {path: _owner(path) for path in map(of, names)}

@@ -197,10 +197,7 @@ def front(rows: Sequence[Numbers]) -> list[bool]:
 
 
 def draw(folder: Path, rows: Sequence[Row]) -> list[Path]:
-    """Write front.svg and front.png, a panel for each two axes that are known; no figure where one alone is.
-
-    The numbers in it count the rows, from 1.
-    """
+    """Write front.svg and front.png, a panel for each two axes that are known; its numbers count the rows, from 1."""
     contenders = {each.name: each for each in ranked(PredictorId.parse(row.model) for row in rows)}
     panels = []
     for x, y in PAIRS:

@@ -8,12 +8,11 @@ from npred.base import devices
 from npred.base.errors import ConfigError
 from npred.cli.options import Working, flag, rewritable, writable
 from npred.lab import config
-from npred.lab.config import Pipeline
+from npred.lab.config import Pipeline, dumps
 from npred.lab.config.results import BeforeAfter, Tuned
 from npred.lab.config.section import map_paths
 from npred.lab.report.terminal import interruption
 from npred.lab.report.terminal.console import columns
-from npred.lab.stages.report import toml_text
 from npred.lab.stages.tuning import LAW, LqrWeights
 from npred.lab.stages.tuning import tune as search
 from npred.plants import Plant
@@ -98,4 +97,4 @@ def _pipeline(tables: dict[str, Any], pipeline: Pipeline, plant: Plant, result: 
     weights = LqrWeights.of(plant)
     if weights and weights.present.keys() & after.keys():
         changed["kappa"] = weights.table(after)
-    return toml_text.dumps(changed)
+    return dumps(changed)

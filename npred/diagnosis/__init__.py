@@ -11,18 +11,7 @@ import numpy as np
 from npred import plants
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
-from npred.diagnosis import (
-    adaptive_loop,
-    box,
-    delay_margin,
-    disturbance,
-    equilibrium,
-    estimated_delay,
-    limits,
-    loops,
-    pi,
-    prediction,
-)
+from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, from_the_box, loops, pi
 from npred.diagnosis.case import Answer, Case, Check, PlannedExperiment
 from npred.loop import control_step
 from npred.plants import inputs
@@ -49,12 +38,12 @@ QUESTIONS = (
     Check("V", equilibrium.V_falls, equilibrium.V_applies),
     Check("input bounds", equilibrium.limited, lambda case: case.sound),
     Check("convergence", equilibrium.converges, lambda case: case.sound and case.leads == "yes"),
-    Check("prediction", prediction.needed, loops.applies),
+    Check("prediction", from_the_box.needed, loops.applies),
     Check("delay margin", delay_margin.tolerated, delay_margin.applies),
     Check("disturbance", disturbance.rejected, disturbance.applies),
     Check("PI", pi.compared, pi.applies),
-    Check("limits", limits.kept, limits.applies),
-    Check("delay estimate", estimated_delay.found, estimated_delay.applies),
+    Check("limits", from_the_box.kept, from_the_box.limits_apply),
+    Check("delay estimate", from_the_box.found, from_the_box.estimate_applies),
     Check("adaptation", adaptive_loop.converges, adaptive_loop.applies),
     Check("stiffness", box.stiff, lambda case: case.sound),
     Check("completeness", box.complete, lambda case: case.verdict("stiffness") == "yes"),

@@ -255,7 +255,7 @@ def ensemble(case: Case, D_hat: float) -> Ensemble:
 
 def simulated(
     case: Case, D_hat: float, X0: np.ndarray, near: float = HOME, target: np.ndarray | None = None, **parts: Any
-) -> Ensemble:  # fmt: skip
+) -> Ensemble:
     """Loops from X0 (B, n), each longer and longer until it settles, diverges, or neither comes nearer nor grows.
 
     Fates are about the plant's target, or about another (n,) that is given.

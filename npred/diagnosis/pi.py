@@ -64,7 +64,7 @@ class StepTask:
         """A, B and C of the error at rest, e falls with y: C is that of y."""
         plant, rest = self.plant, self.plant.equilibrium
         A, B = plant.jacobians(rest, plant.u_equilibrium)
-        h = 1e-6 * np.maximum(np.ptp([plant.box.get(name, (0.0, 1.0)) for name in plant.states], axis=1), 1e-9)
+        h = 1e-6 * np.maximum(np.ptp(plant.ranges(half=0.5), axis=1), 1e-9)
         ends = rest + np.concatenate([np.diag(h), -np.diag(h)])
         e = self.error(ends)
         return A, B[:, 0], (e[plant.n :] - e[: plant.n]) / (2 * h)

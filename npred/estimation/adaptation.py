@@ -57,7 +57,7 @@ class DelayAdaptation(DelayLaw):
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """gamma phi, which the bounds make gamma Proj{D_hat, phi}."""
         return self.gamma * self.phi(plant, X, u, P, D_hat, t)
 
@@ -131,8 +131,8 @@ def suited_gamma(plant: Plant, D: float, b: float = 1.0) -> float:
 
 def _excitation(plant: Plant, D: float, b: float, cells: int) -> np.ndarray:
     """∫ R dt of `suited_gamma`, (STARTS,), by Heun's method."""
-    limits, ends = inputs.bounds(plant, None), np.array([plant.box[name] for name in plant.states])
-    X = np.random.default_rng(0).uniform(ends[:, 0], ends[:, 1], (STARTS, plant.n))
+    limits, (low, high) = inputs.bounds(plant, None), plant.ranges().T
+    X = np.random.default_rng(0).uniform(low, high, (STARTS, plant.n))
     slowest = -np.linalg.eigvals(plant.linearised()[0]).real.max() if plant.rests else 0.0
     h = max(SPAN * D, SETTLING / slowest if slowest > 0 else 0.0) / cells
     past = np.broadcast_to(plant.u_target(0.0) if plant.rests or plant.tracks else np.zeros(plant.m), (STARTS, plant.m))

@@ -81,9 +81,7 @@ class DelayLaw(ABC):
         return law
 
     @abstractmethod
-    def rate(
-        self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
-    ) -> Any:  # fmt: skip
+    def rate(self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float) -> Any:
         """D_hat' (B,) of B loops side by side: X (B, n), u (B, nx, m), P (B, nx, n), D_hat (B,), t.
 
         u has its values at the nodes. plant.f, plant.kappa and plant.V work on these arrays. The estimate is clipped
@@ -100,7 +98,7 @@ class DelayLaw(ABC):
 
     def observer(
         self, plant: Plant, dt: float, of_state: Observer | None = None
-    ) -> tuple[Kernel, np.ndarray, int] | None:  # fmt: skip
+    ) -> tuple[Kernel, np.ndarray, int] | None:
         """A law that finds D_hat from X and its own commands: problem.OBSERVE of npred.prediction.delays, compiled
         for the plant.
 

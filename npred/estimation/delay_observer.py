@@ -117,7 +117,7 @@ class DelayObserver(DelayLaw):
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Raises ConfigError: the estimate comes from the commands, which `rate` does not see."""
         raise ConfigError("adaptation DelayObserver: expected a loop that runs its observers, got a call of rate")
 
@@ -146,7 +146,7 @@ class DelayObserver(DelayLaw):
 
     def observer(
         self, plant: Plant, dt: float, of_state: Observer | None = None
-    ) -> tuple[Callable[..., None], np.ndarray, int]:  # fmt: skip
+    ) -> tuple[Callable[..., None], np.ndarray, int]:
         thetas = self.thetas(dt)
         count, n, m = len(thetas), plant.n, plant.m
         L, omega, memory, window = self.pace(plant, dt)

@@ -58,7 +58,7 @@ class L1Adaptation(DelayLaw):
 
     def rate(
         self, plant: Plant, X: np.ndarray, u: np.ndarray, P: np.ndarray, D_hat: np.ndarray, t: float
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """gamma phi, (B,)."""
         arrays = [np.array(np.moveaxis(a, 0, -1), order="C") for a in (P, X, u, D_hat)]
         phi, N = np.empty(len(D_hat)), np.empty(len(D_hat))

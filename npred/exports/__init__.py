@@ -105,9 +105,7 @@ class Exported(NamedTuple):
 
 @dataclass(frozen=True)
 class WholeController:
-    """A controller to export; its name in words, the first state and the length of its loop, which an FMU tells, by
-    default 40 delays.
-    """
+    """A controller to export, its name in words, and for an FMU the first state and the length, else 40 delays."""
 
     controller: "Controller"
     about: str = ""
@@ -143,9 +141,7 @@ class NetworkAlone:
         return {"model": self.name, "nx": self.nx}
 
     def exported(self, path: Path, errors: tuple[float, float] | None) -> Exported:
-        """The words about a file whose P and U differ so much from the network's, and its P from the predictor; None
-        where the file could not be run.
-        """
+        """The words about a file whose P and U differ so much from those expected; None where it could not be run."""
         line, count = f"P and U of {self.name} on {self.nx} nodes", len(self.samples[0])
         if errors is None:
             return Exported([path], {}, f"{line}; not compared, for there is no C compiler here")

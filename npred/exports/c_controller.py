@@ -227,8 +227,7 @@ def _test(controller: Controller, name: str, real: str) -> str:
     sets = []
     if values := self_test.moved(controller):
         vectors.append(constant("test_p", np.array([*values.values()]), real))
-        lines = [
-            f"    {_setter(name, one, real).split('(')[0].split()[1]}(c, test_p[{k}]);" for k, one in enumerate(values)
-        ]
+        setters = (_setter(name, one, real).split("(")[0].split()[1] for one in values)
+        lines = [f"    {setter}(c, test_p[{k}]);" for k, setter in enumerate(setters)]
         sets = [f"static void test_set({name}_controller *c)", "{", *lines, "}"]
     return "\n".join([f"enum {{ {counts} }};", f"#define TEST_LIMIT {limit:.1e}", does, *vectors, *sets])

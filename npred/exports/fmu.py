@@ -156,10 +156,7 @@ def _places(version: int, identifier: str, names: Sequence[str]) -> dict[str, st
 
 
 def _compiled(texts: Mapping[str, str], sources: Sequence[str], target: str) -> bytes:
-    """The shared library of the sources for a machine, this one without a name. Raises as c_files.build does.
-
-    Only what FMI names is visible in it.
-    """
+    """The shared library for a machine, by default this one, with FMI's names alone. Raises as c_files.build does."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
@@ -253,10 +250,7 @@ def _text(root: ET.Element) -> str:
 
 
 def variables(controller: Controller, X0: ArrayLike, arrays: bool) -> list[Variable]:
-    """All variables, a value reference being the place in this list; `arrays` where one variable may be an array.
-
-    Raises ConfigError where two have one name.
-    """
+    """All variables, each at its value reference; `arrays` where one may be an array. Raises ConfigError for twins."""
     X0 = np.asarray(X0, dtype=float)
     listed = [*_inputs(controller, X0, arrays), *_outputs(controller), *_parameters(controller)]
     names = [variable.name for variable in listed]

@@ -153,8 +153,7 @@ class _World:
     def __init__(self, controller: Controller, size: float) -> None:
         self.plant, self.dt, self.random = controller.plant, controller.dt, generator(0, "self-test")
         self.middle = self.plant.target(0.0)
-        box = [self.plant.box.get(name, (0.0, 0.0)) for name in self.plant.states]
-        wide = np.array([(high - low) / 2 for low, high in box])
+        wide = np.ptp(self.plant.ranges(half=0.0), axis=1) / 2
         self.half = np.where(wide > 0, wide, 0.3 * np.maximum(np.abs(self.middle), 1.0))
         low, high = controller.settings.bounds
         self.D = min(max(0.7 * controller.D_hat, low), high)
@@ -174,7 +173,9 @@ class _World:
         h = (t - self.t) / steps
         for k in range(steps):
             at = self.t + k * h
-            U = self._acting(at)
+            D = float(self.plant.delay(self.X, at)) if self.plant.declares_delay else self.D
+            arrived = (at - D * r for r in self.plant.ratios)
+            U = np.array([next(U[i] for t, U in reversed(self.sent) if t <= s) for i, s in enumerate(arrived)])
             rate = self.plant.f(self.X, U, at)
             self.X = self.X + h / 2 * (rate + self.plant.f(self.X + h * rate, U, at + h))
             self.X = np.clip(self.X, self.middle - 2 * self.half, self.middle + 2 * self.half)
@@ -182,11 +183,6 @@ class _World:
         if not (np.abs(self.X - self.middle) < 2 * self.half).all():
             self.kick()
         self.past.append(self.X)
-
-    def _acting(self, t: float) -> np.ndarray:
-        D = float(self.plant.delay(self.X, t)) if self.plant.declares_delay else self.D
-        late = (next(U[i] for at, U in reversed(self.sent) if at <= t - D * r) for i, r in enumerate(self.plant.ratios))
-        return np.array(list(late))
 
 
 def _calls(controller: Controller) -> Iterator[tuple[str, float, float]]:

@@ -42,10 +42,7 @@ def composed(step: Step) -> Step:
 
 
 def stepped(f: Trace | Step, step: Step, x: np.ndarray, inputs: Sequence[np.ndarray], t: Value, h: Value) -> np.ndarray:
-    """x(t + h) by the formula of a one-step method, the inputs being u0, um, u1; a long implicit one is called.
-
-    f is that of a trace, or any other.
-    """
+    """x(t + h) by a one-step method's formula for an f, the inputs being u0, um, u1; a long implicit one is called."""
     trace = f
     if not isinstance(trace, Trace):
         return step(f, x, *inputs, t, h)
@@ -66,9 +63,7 @@ def operations(plant: Declared, name: str, step: Step | None = None) -> int:
 
 
 def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[str], np.ndarray]:
-    """The names of the arguments, and the results, of f, its derivative df along (v, dt), kappa, kappa with its: law,
-    or of a step.
-    """
+    """Names of the arguments and results of f, its derivative df along (v, dt), kappa, kappa with its law, a step."""
     trace = Trace(plant)
     if step is not None:
         n, m, held = plant.n * getattr(step, "whole", 1), plant.m, name.endswith("_held")

@@ -1,7 +1,4 @@
-"""Programs from a tape: the forward derivative of some outputs, their straight-line program, their dependencies.
-
-Nodes that no output needs are left out.
-"""
+"""Programs from a tape: forward derivatives, straight-line programs of the needed nodes, dependencies."""
 
 import math
 from collections.abc import Mapping, Sequence

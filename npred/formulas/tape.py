@@ -122,9 +122,7 @@ class Tape:
         return self.node(op, args) if simple is None else simple
 
     def call(self, name: str, args: Vector, direct: int, size: int) -> list["Symbol"]:
-        """The `size` results of a function that is compiled on its own, whose derivative `d<name>` is by its first
-        `direct` arguments.
-        """
+        """The `size` results of a function compiled on its own, with the derivative `d<name>` by `direct` arguments."""
         called = self.node("call", (name, direct, *args))
         return [self.node("item", (called, k)) for k in range(size)]
 

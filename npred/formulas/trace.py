@@ -128,10 +128,9 @@ class Trace:
         values = self.plant.call(name, state, inputs, t, self.parameters, tapes.M)
         for value in values:
             if not isinstance(value, tapes.Symbol | Real):
-                raise ConfigError(
-                    f"{self.plant.location(name)} expected to return numbers and formulas, got {type(value).__name__}; "
-                    f"return {RETURNS[name]}"
-                )
+                what = f"{self.plant.location(name)} expected to return numbers and formulas"
+                cure = f"return {RETURNS[name]}"
+                raise ConfigError(f"{what}, got {type(value).__name__}; {cure}")
         if len(values) != size:
             count = f"{size} value{'s' * (size > 1)}"
             names = ", ".join(self.plant.inputs if name in ("kappa", "setpoint") else self.plant.states)

@@ -73,10 +73,7 @@ def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest
 
 
 def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
-    """The mean squares (S, outputs) over the last two thirds of segments that the model was not fitted to.
-
-    Their first thirds give the initial states.
-    """
+    """Mean squares (S, outputs) over the last two thirds of segments not fitted to; their first thirds give x(0)."""
     fit, third = candidate.fit, _third(segments)
     head = segments.Y.copy()
     head[:, third:] = np.nan

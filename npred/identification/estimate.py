@@ -120,9 +120,7 @@ def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem
 def _minimum(
     problem: Problem, few: Problem, fit: SegmentFit, low: np.ndarray, high: np.ndarray
 ) -> tuple[Problem, np.ndarray, SegmentFit, np.ndarray, bool]:
-    """The problem with steps that are fine enough at its minimum, the delays there, the fit, their widths; and whether
-    steps are fine enough at all.
-    """
+    """The problem with steps fine enough at its minimum, the delays there, the fit, the widths; whether they are."""
     z, period = fit.delays, problem.segments.log.period
     step = period
     while True:

@@ -108,15 +108,7 @@ class Findings:
     @property
     def identifiable(self) -> np.ndarray:
         """(m,) True where the log tells the delay."""
-        wide = np.diff(self.interval, axis=1)[:, 0] > CERTAIN * self.high
-        ends = self.interval[:, 1] >= self.high - 1e-9 * self.high
-        ends |= (self.interval[:, 0] <= 0) & (self.interval[:, 1] > self.period)  # none, or any up to there
-        early = self.early < 0
-        alike = np.isin(np.arange(len(self.D)), [j for pair in self.alike for j in pair])
-        recurring = self.recurring < self.high
-        lag = np.array([a.explains for a in self.alternatives])
-        everywhere = self._off or self.silent or self.several
-        return ~(wide | ends | early | alike | recurring | self.still | lag | self.lagged | everywhere)
+        return np.array([not (self.refused or self._doubt(j)) for j in range(len(self.D))])
 
     @property
     def _off(self) -> bool:
@@ -175,61 +167,50 @@ class Findings:
         return []
 
     def _of_input(self, j: int) -> list[str]:
-        name, other, time = self.plant.inputs[j], self.alternatives[j], self.plant.time_text
-        low, high = self.interval[j]
-        span, ends = (f"{time(low, '.4g')} {word} {time(high, '.4g')}" for word in ("to", "and"))
-        unknown = f"The delay of {name} is not identifiable:"
-        if self.still[j]:
-            return [f"{unknown} {name} never changes. Record steps of it."]
-        for i, k in self.alike:
-            if j in (i, k):
-                both = f"{self.plant.inputs[i]} and {self.plant.inputs[k]}"
-                return [f"{unknown} {both} move together. Record steps of one while the other is at rest."]
-        if self.closed > CLOSED:
-            return [
-                f"{unknown} the commands follow the outputs: the log is of a closed loop without a test signal. "
-                "Add one."
-            ]
-        if self.early[j] < 0:
-            return [
-                f"{unknown} the log fits best with {name} {time(-self.early[j], '.3g')} before its command. Either it "
-                "is logged late, or it is not constant between two rows: check the clocks, try --hold linear. "
-                f"Any delay of {span} is possible."
-            ]
-        if self._off:
-            return [f"{unknown} the plant, with its parameters, does not explain the log."]
-        if self.recurring[j] < self.high[j]:
-            return [
-                f"{unknown} {name} repeats itself after {time(self.recurring[j], '.3g')}, so a delay is known only up "
-                f"to that time: {span}. Record steps at random times."
-            ]
-        if self.several:
-            return [
-                f"{unknown} several delays of {span} fit about equally well; {time(self.D[j], '.3g')} is the best. "
-                "Record steps at random times."
-            ]
-        if other.explains:
-            return [
-                f"{unknown} a first-order lag of {time(other.lag, '.3g')} explains the "
-                f"log as well as a delay of {time(self.D[j], '.3g')}, or better. Any delay of {span} is possible.",
-                f"To tell a delay from a lag, record sharp steps of {name}, with more samples after each step.",
-            ]
-        if high >= self.high[j] - 1e-9 * self.high[j]:
-            what = "fits any delay" if low <= 0 else "fits delays"
-            return [
-                f"{unknown} the log {what} of {span}, the longest that was tried. "
-                f"Record larger steps of {name}, or try longer delays."
-            ]
-        if self.lagged[j]:
-            rival = f"a shorter delay with a lag behind it fits about equally well: {span}"
-            return [f"{unknown} {rival}. Record sharper steps."]
-        if not self.identifiable[j]:
-            return [f"{unknown} any delay of {span} fits. Record larger steps of {name}."]
+        name, time, (low, high) = self.plant.inputs[j], self.plant.time_text, self.interval[j]
+        if doubt := self._doubt(j):
+            return f"The delay of {name} is not identifiable: {doubt}".split("\n")
         periods = f"{self.D[j] / self.period:.2f} sampling periods"
+        ends = f"{time(low, '.4g')} and {time(high, '.4g')}"
         lines = [f"{name} arrives {time(self.D[j], '.4g')} late, {periods}; with 95 % between {ends}."]
         if low <= 0:
             lines.append(f"The log fits without a delay of {name}, too.")
         return lines + self._of_lag(j)
+
+    def _doubt(self, j: int) -> str:
+        """Why the log does not tell this delay, and what to do: the first reason that holds, or "" for none."""
+        name, other, time = self.plant.inputs[j], self.alternatives[j], self.plant.time_text
+        best, (low, high), longest = time(self.D[j], ".3g"), self.interval[j], self.high[j]
+        span = f"{time(low, '.4g')} to {time(high, '.4g')}"
+        both = next((" and ".join(self.plant.inputs[i] for i in pair) for pair in self.alike if j in pair), "")
+        unclear = high - low > CERTAIN * longest or (low <= 0 and high > self.period)  # none, or any up to there
+        if self.still[j]:
+            return f"{name} never changes. Record steps of it."
+        if both:
+            return f"{both} move together. Record steps of one while the other is at rest."
+        if self.closed > CLOSED:
+            return "the commands follow the outputs: the log is of a closed loop without a test signal. Add one."
+        if self.early[j] < 0:
+            first = f"the log fits best with {name} {time(-self.early[j], '.3g')} before its command. Either it is"
+            cure = "logged late, or it is not constant between two rows: check the clocks, try --hold linear."
+            return f"{first} {cure} Any delay of {span} is possible."
+        if self._off:
+            return "the plant, with its parameters, does not explain the log."
+        if self.recurring[j] < longest:
+            after = f"{name} repeats itself after {time(self.recurring[j], '.3g')}, so a delay is known only up to that"
+            return f"{after} time: {span}. Record steps at random times."
+        if self.several:
+            return f"several delays of {span} fit about equally well; {best} is the best. Record steps at random times."
+        if other.explains:
+            lag = f"a first-order lag of {time(other.lag, '.3g')} explains the log as well as a delay of {best}, or"
+            cure = f"To tell a delay from a lag, record sharp steps of {name}, with more samples after each step."
+            return f"{lag} better. Any delay of {span} is possible.\n{cure}"
+        if high >= longest - 1e-9 * longest:
+            tried = f"the log fits {'any delay' if low <= 0 else 'delays'} of {span}, the longest that was tried."
+            return f"{tried} Record larger steps of {name}, or try longer delays."
+        if self.lagged[j]:
+            return f"a shorter delay with a lag behind it fits about equally well: {span}. Record sharper steps."
+        return f"any delay of {span} fits. Record larger steps of {name}." if unclear else ""
 
     def _of_lag(self, j: int) -> list[str]:
         if not (behind := self.alternatives[j].behind):
@@ -254,8 +235,7 @@ class Findings:
         if not self.combination:
             return []
         names, factors, value, deviation = self.combination
-        terms = " + ".join(
-            name if abs(f - 1) < 5e-4 else f"{f:.3g} {name}" for name, f in zip(names, factors, strict=True)
-        )
+        parts = zip(names, factors, strict=True)
+        terms = " + ".join(name if abs(f - 1) < 5e-4 else f"{f:.3g} {name}" for name, f in parts)
         sum_is = f"{terms.replace('+ -', '- ')} = {value:.4g} ± {2 * deviation:.2g}"
         return [f"Of {' and '.join(names)} only a combination is known, near these values: {sum_is}."]

@@ -151,9 +151,8 @@ def _built(
     present = [series for series in every if series]
     if not all(every[: plant.m]) or len(present) == plant.m:
         got = f"{len(present)} columns with numbers"
-        raise ConfigError(
-            f"log: expected numbers and times for every input and an output, got {got}; check the columns"
-        )
+        cure = "check the columns"
+        raise ConfigError(f"log: expected numbers and times for every input and an output, got {got}; {cure}")
     return Log.of_series(every[: plant.m], every[plant.m :]), screening.of_clock(present, plant.time_unit)
 
 
@@ -180,9 +179,7 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
 
 
 def _best(plant: Plant, log: Log, settings: Settings) -> Identified:
-    """The answer by what comes after the longest delay; or by the whole log, if that leaves less open and the commands
-    move before.
-    """
+    """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
     early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
     moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
     try:
@@ -272,9 +269,8 @@ def _far(plant: Plant, log: Log) -> list[str]:
         if name in plant.box and np.isfinite(y).any():
             (low, high), (least, most) = plant.box[name], np.nanquantile(y, [0.1, 0.9])
             if max(low - least, most - high) > FAR * (high - low):
-                both = (
-                    f"{name} is {least:.3g} to {most:.3g} in the recording, and {low:g} to {high:g} in the plant's box"
-                )
+                span = f"{low:g} to {high:g} in the plant's box"
+                both = f"{name} is {least:.3g} to {most:.3g} in the recording, and {span}"
                 angle = plant.units.get(name, "").startswith("rad")
                 cure = f", from degrees by the factor {np.pi / 180:.6g}" if angle else ""
                 lines.append(f"{both}: if the units differ, scale its column{cure}.")

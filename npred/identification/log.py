@@ -61,8 +61,8 @@ class Log:
                 [series and TimeSeries(*(a[run == k] for a in series)) for series, run in zip(every, runs, strict=True)]
                 for k in range(counts.pop() + 1)
             )
-            logs = [cls.of_series(part[: len(inputs)], part[len(inputs) :]) for part in parts if _long(part)]
-            return cls.joined(logs)
+            long = (part for part in parts if all(series is None or len(series.t) > BACK for series in part))
+            return cls.joined([cls.of_series(part[: len(inputs)], part[len(inputs) :]) for part in long])
         t = np.unique(np.concatenate([series.t for series in every if series]))
         columns, rows = np.full((len(t), len(every)), np.nan), np.zeros(len(t), dtype=int)
         for column, series in zip(columns.T, every, strict=True):
@@ -136,11 +136,6 @@ class Log:
         return replace(self, t_U=self.t_U[new], U=self.U[new])
 
 
-def _long(part: Sequence[TimeSeries | None]) -> bool:
-    """True if each series has the rows of a recording."""
-    return all(series is None or len(series.t) > BACK for series in part)
-
-
 def restarts(t: np.ndarray) -> np.ndarray:
     """(N,) how often the clock began anew before each row: it goes back by more than BACK periods, and then goes on."""
     step = np.diff(t)
@@ -211,9 +206,8 @@ class Segments:
         row = np.arange(len(events)) - (np.cumsum(counts) - counts)[owner]
         begins = np.where(row == 0, starts[owner], np.append(0.0, events[:-1]))
         middle = (begins + events) / 2
-        held = np.stack(
-            [log.U[np.maximum(np.searchsorted(a, middle, side="right") - 1, 0), j] for j, a in enumerate(arrivals.T)], 1
-        )
+        places = (np.maximum(np.searchsorted(a, middle, side="right") - 1, 0) for a in arrivals.T)
+        held = np.stack([log.U[place, j] for j, place in enumerate(places)], 1)
         most, S = int(counts.max()), len(self)
         u, spans, moments = np.zeros((most, held.shape[1], S)), np.zeros((most, S)), np.zeros((most, S))
         u[row, :, owner], spans[row, owner], moments[row, owner] = held, events - begins, begins

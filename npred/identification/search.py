@@ -26,7 +26,6 @@ class Profile:
 
     @property
     def costs(self) -> np.ndarray:
-        """The least costs."""
         return np.array([fit.cost for fit in self.fits])
 
 
@@ -137,9 +136,8 @@ def _others(
             sides.append(at(there, fit))
         a, b = sides[0].cost - fit.cost, sides[1].cost - fit.cost
         there = z.copy()
-        there[i] = np.clip(
-            z[i] + widths[i] * (0.5 * (a - b) / (a + b) if a + b > 0 else np.sign(a - b)), low[i], high[i]
-        )
+        share = 0.5 * (a - b) / (a + b) if a + b > 0 else np.sign(a - b)
+        there[i] = np.clip(z[i] + widths[i] * share, low[i], high[i])
         new = at(there, fit)
         fit, z = min([(fit, z), (new, there)], key=lambda pair: pair[0].cost)
     return z, fit

@@ -64,9 +64,7 @@ def _absolute(variable: str) -> Path | None:
 
 
 def _private(folder: Path) -> None:
-    """Keep others out. Raises MissingError for a folder of another user, or that others could write to until now, and
-    OSError for one that this user cannot write to.
-    """
+    """Keep others out. Raises MissingError where they could write, OSError where this user cannot."""
     if not hasattr(os, "geteuid"):  # Windows, where a profile is its user's by its access list
         return
     status = folder.stat()
@@ -76,11 +74,9 @@ def _private(folder: Path) -> None:
     elif not os.access(folder, os.W_OK):
         raise PermissionError(errno.EACCES, "cannot be written", str(folder))
     else:
-        raise MissingError(
-            f"{folder}: expected a folder that only you can write to, for the code in it is run, got mode "
-            f"{status.st_mode & 0o777:o} of user {status.st_uid}; remove it (all is compiled again) or name another in "
-            f"{VARIABLE}"
-        )
+        what = f"{folder}: expected a folder that only you can write to, for the code in it is run"
+        cure = f"remove it (all is compiled again) or name another in {VARIABLE}"
+        raise MissingError(f"{what}, got mode {status.st_mode & 0o777:o} of user {status.st_uid}; {cure}")
 
 
 def _temporary() -> Path:

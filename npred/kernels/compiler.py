@@ -57,10 +57,7 @@ def command() -> tuple[str, ...]:
 
 
 def library(text: str, exact: bool = False) -> ctypes.CDLL:
-    """The library of a C text, with EXACT or not.
-
-    Raises NpredError where it does not compile, or where the disk is full.
-    """
+    """The library of a C text, with EXACT or not. Raises NpredError where it does not compile, or the disk is full."""
     flags = (*FLAGS, *EXACT) if exact else FLAGS
     name = _named(text, flags)
     with _locks[name]:
@@ -127,10 +124,7 @@ def complaint(done: subprocess.CompletedProcess[str]) -> str:
 
 @cache
 def _libraries() -> tuple[str, ...]:
-    """The libraries that a kernel is linked with: for ziglang those of C that this process runs with.
-
-    Its own ones it would compile first, for six seconds.
-    """
+    """The libraries of a kernel: for ziglang those of this process, for its own take six seconds to compile."""
     maps = Path("/proc/self/maps")
     if "ziglang" not in command() or not maps.exists():
         return STANDARD

@@ -102,7 +102,6 @@ class Kernel:
 
     @cached_property
     def function(self) -> Any:
-        """The compiled function."""
         return foreign_type(self.arguments)(("entry", compiler.library(self.unit, self.exact)))
 
     @cached_property

@@ -230,21 +230,13 @@ class Design:
     @cached_property
     def widths(self) -> np.ndarray:
         """Half the box, (n,), where that has a width, else 1."""
-        width = np.ptp(self.box, axis=1) / 2
+        width = np.ptp(self.plant.ranges(), axis=1) / 2
         return np.where(width > 0, width, 1.0)
-
-    @cached_property
-    def box(self) -> np.ndarray:
-        """The plant's box (n, 2); where it has no range for a state, 1 around `guess`."""
-        plant = self.plant
-        pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
-        return np.array(pairs, dtype=float)
 
     @cached_property
     def samples(self) -> np.ndarray:
         """States of the box, (SAMPLES, n)."""
-        low, high = self.box.T
-        return randomness.generator(0, "laws").uniform(low, high, (SAMPLES, self.plant.n))
+        return self.plant.drawn("laws", SAMPLES)
 
     @cached_property
     def sizes(self) -> np.ndarray:

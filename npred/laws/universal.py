@@ -75,9 +75,8 @@ def sontag(plant: Plant, V: Callable[..., Any] | str | None = None) -> Law:
     # where a < 0 the sum a + size cancels, and is written as the quotient that it equals
     sum_of_both = M.where(rate < 0, (more + small**2) / (size - rate), rate + size)
     pull = sum_of_both / (effect + small / g)
-    return written(
-        design.trace, design.guess, [a - weight * b * pull for a, b, weight in zip(u, row, squares, strict=True)]
-    )
+    u = [a - weight * b * pull for a, b, weight in zip(u, row, squares, strict=True)]
+    return written(design.trace, design.guess, u)
 
 
 def _value(design: Design, V: Callable[..., Any] | str | None) -> tuple[Value, Value | None]:

@@ -25,10 +25,7 @@ acting = _kernel("acting", "k, dt, D, held, &U", 2)
 
 
 def history(before: float, longest: float, dt: float, past: Past) -> tuple[int, np.ndarray, np.ndarray]:
-    """The first step's number and the ring buffers, filled with the inputs of t < 0.
-
-    They reach back to `before` before t = 0, and to `longest` at any time.
-    """
+    """The first step's number, and the ring buffers from `before` t = 0, filled with u0, as long as `longest`."""
     origin, rows = int(before / dt) + 3, int(max(before, longest) / dt) + 4
     commands = past.steps(origin, dt)
     held = np.ascontiguousarray(np.concatenate([commands, np.repeat(commands[-1:], rows - origin, axis=0)]))

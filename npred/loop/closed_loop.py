@@ -175,7 +175,7 @@ def _tabulated(D: Callable[[float], Any], t_end: float, dt: float) -> np.ndarray
 @contextmanager
 def _counted(
     progress: Callable[[int], Any] | bool | None, loops: int, steps: int
-) -> Iterator[Callable[[int], Any] | None]:  # fmt: skip
+) -> Iterator[Callable[[int], Any] | None]:
     """A function of the number of loop steps done: a bar where `progress` is True, a line where it is not said."""
     if progress is None:
         with announce(f"simulating {counted(loops, 'loops')}", total=loops * steps) as work:

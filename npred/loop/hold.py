@@ -28,8 +28,8 @@ def linearised(plant: Plant) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None
     """
     try:
         X, u = speed.operating_point(plant)
-        box = np.array([plant.box.get(name, (a - 0.5, a + 0.5)) for name, a in zip(plant.states, X, strict=True)])
-        width = np.where(np.ptp(box, axis=1) > 0, np.ptp(box, axis=1), 1.0)
+        width = np.ptp(plant.ranges(X, 0.5), axis=1)
+        width = np.where(width > 0, width, 1.0)
         h = DIFFERENCE * np.concatenate([width, np.maximum(np.abs(u), 1.0)])
         z = np.concatenate([X, u]) + np.concatenate([np.diag(h), -np.diag(h)])
         with np.errstate(all="ignore"):

@@ -143,9 +143,7 @@ def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[st
 
 
 def observed(observer: Observer) -> Callable[..., None]:
-    """problem.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError where it returns another
-    shape.
-    """
+    """problem.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError for another shape."""
     from npred.loop.actuator import acting
 
     def step(k: int, origin: int, dt: float, D_seen: Any, held: Any, Y: Any, X_hat: Any) -> None:

@@ -170,9 +170,7 @@ def converged(radii: ArrayLike, X_star: ArrayLike) -> np.ndarray:
 
 
 def far(loops: Trajectories, X_star: ArrayLike, share: float = FAR) -> np.ndarray:
-    """True, (...), for a loop that overflows, or ends further from X* than that share of size(X*): it may swing there,
-    rest elsewhere, or diverge.
-    """
+    """True, (...), for a loop that overflows, or ends further from X* than that share of size(X*)."""
     return ~(radius(loops, X_star) <= share * size(X_star))
 
 

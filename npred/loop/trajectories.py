@@ -176,10 +176,7 @@ def of_record(
     r: Record, shape: tuple[int, ...], step: float, steps: int, plant: Plant, truth: Plant,
     predictor: Predictor | None, ends: tuple[float, float] | None, clock: OnAClock | None = None,
 ) -> Trajectories:  # fmt: skip
-    """The loops of a batch of that shape, of so many control steps; `step` lies between two kept states.
-
-    `clock` has the loops first.
-    """
+    """The loops of a batch of so many control steps, kept each `step`; `clock` has the loops first."""
 
     def lead(a: np.ndarray) -> np.ndarray:
         """Lanes last to the batch's shape first."""

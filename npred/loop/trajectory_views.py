@@ -152,9 +152,7 @@ def _lost(loops: Any) -> np.ndarray:
 
 
 def _clip(panel: Any) -> None:
-    """Let lost loops leave a panel that has some, so that the others can be seen; alone they leave it REACH times
-    above the first tenth of what is finite.
-    """
+    """Let lost loops leave a panel, so that others can be seen; alone, at REACH times the first tenth of the finite."""
     lines = [(line.get_gid(), np.asarray(line.get_ydata(), dtype=float)) for line in panel.lines]
     kept, lost = ([y for of, y in lines if (of == LOST) == is_lost and len(y)] for is_lost in (False, True))
     if not lost:
@@ -214,10 +212,7 @@ def _size(panels: int, size: str | tuple[float, float] | None = None) -> tuple[f
 
 
 def dataframe(loops: Any) -> Any:
-    """One row per loop and time, a column per series; the index is t, behind the loop's number on each axis of a batch.
-
-    Raises MissingError without pandas.
-    """
+    """A row per loop and time, a column per series; the index is batch axes, then t. Raises MissingError."""
     frames = pandas()
     columns = {name: values.reshape(-1) for name, values in series(loops)}
     shape = loops.escaped.shape

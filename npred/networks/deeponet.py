@@ -4,21 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from npred.networks import matrices
-from npred.networks.program import (
-    Dots,
-    Layers,
-    Matrix,
-    Mirror,
-    Product,
-    Program,
-    Repeat,
-    Shapes,
-    Silu,
-    SiluPair,
-    mlp,
-    mlp_shapes,
-)  # fmt: skip
+from npred.networks import matrices, program
+from npred.networks.program import Dots, Layers, Matrix, Product, Program, Repeat, Shapes, Silu, mlp, mlp_shapes
 from npred.networks.weights import Weights
 
 DEGREE = 12  # Legendre polynomials that the trunk sees: x alone gives a basis of almost straight lines at the start
@@ -62,7 +49,7 @@ def _hidden(p: Program, hidden: Layers) -> Matrix:
     by_node, by_moment = p.weights("by_node", transform, m), p.weights("by_moment", by_input, 1)
     by_z = p.weights("by_z", np.concatenate([first[: p.seen], first[-1:]]), rows)
     bias = p.constant("bias", _bias(zero, rows))
-    activation = Silu("h", "sums", width) if rows == 1 else SiluPair("h", "sums", width)
+    activation = Silu("h", "sums", width) if rows == 1 else program.SiluPair("h", "sums", width)
     p.operations += [
         Product(features, Matrix("v", 1, m), by_node, (m, nx, count)),
         Product(sums, Matrix("z", p.columns), by_z, (rows, p.columns, width), bias),
@@ -107,7 +94,7 @@ def _smooth(p: Program, trunk: Layers, by_basis: np.ndarray, by_mean: np.ndarray
         Product(level, a, p.constant("level", p.v_zero[:, None]), (n, m, 1), adds=True),
         Product(even_part, b, p.weights("even", even, n), (n, len(even), columns)),
         Product(odd_part, odd_b, p.weights("odd", odd, n), (n, len(odd), columns)),
-        Mirror(N, even_part, odd_part, n, nx),
+        program.Mirror(N, even_part, odd_part, n, nx),
     ]
     return N, a
 

@@ -104,7 +104,7 @@ def legendre(nx: int) -> np.ndarray:
 
 def _features(
     X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, angle: np.ndarray | None, bend: np.ndarray
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """(N, k)."""
     moments = np.einsum("kj,bjm->bmk", legendre(u.shape[1]), u)
     columns = [np.arcsinh(X / bend), D_hat[:, None], *np.moveaxis(moments, 1, 0)]

@@ -5,23 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from npred.base import grid
-from npred.networks import matrices
-from npred.networks.program import (
-    Dots,
-    Matrix,
-    Product,
-    Program,
-    Recombine,
-    Repeat,
-    Series,
-    Shapes,
-    Silu,
-    linear_shapes,
-    mlp,
-    mlp_shapes,
-    product,
-    silu,
-)  # fmt: skip
+from npred.networks import matrices, program
+from npred.networks.program import Matrix, Product, Program, Series, Shapes, Silu, linear_shapes, mlp, product, silu
 from npred.networks.weights import Weights
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -36,7 +21,7 @@ def shapes(n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, l
     for k in range(layers):
         arrays |= {f"spectral.{k}.{part}": (modes, width, width) for part in ("real", "imag")}
         arrays |= linear_shapes(f"local.{k}", width, width)
-    return arrays | mlp_shapes("project", [width, 2 * width, n], bias=False)
+    return arrays | program.mlp_shapes("project", [width, 2 * width, n], bias=False)
 
 
 def append(p: Program, weights: Weights) -> None:
@@ -68,7 +53,7 @@ def append(p: Program, weights: Weights) -> None:
         Product(out, v, local, (nx, width, width), biases),
         Product(v_hat, p.constant("forward", forward), v, (2 * modes, nx, width)),
         Product(*modal, (2, width, pair), repeats=modes),
-        Recombine("y_hat", "pairs", modes, width),
+        program.Recombine("y_hat", "pairs", modes, width),
         Product(out, p.constant("inverse", inverse), y_hat, (nx, 2 * modes, width), adds=True),
         Silu("waves", "sums", nx * width),
     )
@@ -78,10 +63,10 @@ def append(p: Program, weights: Weights) -> None:
     hidden, hidden_bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
     project = p.weights("project", first["weight"].T, nx)
     p.operations += [
-        Repeat(len(linear), layer),
+        program.Repeat(len(linear), layer),
         Product(hidden, v, project, (nx, width, size), hidden_bias),
         Silu("hidden", "hidden", size * nx),
-        Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, n)),
+        program.Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, n)),
     ]
     if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
         p.twice = True

@@ -17,7 +17,6 @@ Shapes = dict[str, tuple[int, ...]]  # the shape of each array in a file of weig
 
 
 def linear_shapes(name: str, fan_in: int, fan_out: int, bias: bool = True) -> Shapes:
-    """A linear layer."""
     return {f"{name}.weight": (fan_out, fan_in)} | ({f"{name}.bias": (fan_out,)} if bias else {})
 
 
@@ -217,7 +216,6 @@ class Program:
 
     @property
     def columns(self) -> int:
-        """The columns of z."""
         return self.seen + 1
 
     @property

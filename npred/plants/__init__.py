@@ -46,7 +46,7 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
 
 def resolve(
     name: str | type, parameters: Mapping[str, float] = {}, kappa: Kappa = "", delays: Sequence[float] | None = None
-) -> Plant:  # fmt: skip
+) -> Plant:
     """The plant as `plant` makes it, its parameters in a table.
 
     `kappa` may also be a table of a law's name and its arguments, {"law": "pole_placement", "poles": [-1, -2]}.
@@ -92,9 +92,8 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
         for key in table:
             if key not in takes:
                 raise ConfigError(unlisted(f"kappa {name}", key, takes[1:], "arguments", "drop it")) from None
-        raise ConfigError(
-            f"kappa {name}: expected what {name}({', '.join(takes)}) takes, got a table: {error}; write it"
-        ) from None
+        what, cure = f"kappa {name}: expected what {name}({', '.join(takes)}) takes", "write it"
+        raise ConfigError(f"{what}, got a table: {error}; {cure}") from None
     other = plant.controlled(design(plant, **table))
     other.law_table = {"law": name} | table
     return other

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from npred.base import registry, source_lines
+from npred.base import randomness, registry, source_lines
 from npred.base.errors import ConfigError
 from npred.base.notebook import InNotebook
 from npred.base.registry import Source
@@ -118,6 +118,17 @@ class Plant(InNotebook):
     def scales(self) -> np.ndarray:
         """How large a change of each state and input counts as one, (n + m,): half its range, where it has one."""
         return newton.scales(self)
+
+    def ranges(self, around: np.ndarray | None = None, half: Array | float = 1.0) -> np.ndarray:
+        """The box (n, 2); where it has no range for a state, `half` around a point, by default around `guess`."""
+        point = self.guess if around is None else around
+        pairs = zip(self.states, point - half, point + half, strict=True)
+        return np.array([self.box.get(name, ends) for name, *ends in pairs], dtype=float)
+
+    def drawn(self, purpose: str, count: int) -> np.ndarray:
+        """Random states of these ranges, (count, n)."""
+        low, high = self.ranges().T
+        return randomness.generator(0, purpose).uniform(low, high, (count, self.n))
 
     @cached_property
     def settle(self) -> Kernel:

@@ -8,7 +8,7 @@ from typing import TypeAlias, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred.base import array_checks, randomness, source_lines
+from npred.base import array_checks, source_lines
 from npred.base.errors import ConfigError, unlisted
 from npred.plants.base import Plant
 from npred.plants.speed import long
@@ -48,8 +48,7 @@ def widest(plant: Plant, limits: np.ndarray) -> np.ndarray:
 
 @cache
 def _largest(plant: Plant) -> np.ndarray:
-    ends = np.array([plant.box[name] for name in plant.states], dtype=float)
-    X = randomness.generator(0, "largest kappa").uniform(ends[:, 0], ends[:, 1], (DRAWN, plant.n))
+    X = plant.drawn("largest kappa", DRAWN)
     moments = [0.0] if plant.rests else np.linspace(0.0, long(plant), MOMENTS)
     with np.errstate(all="ignore"):
         U = np.abs([plant.kappa(X, t) for t in moments])

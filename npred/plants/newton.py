@@ -69,9 +69,7 @@ def search(
 
 
 def best_input(f: np.ndarray, f_U: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """The change of the inputs (m,) with the least f (n,), in sizes of the states, by one Gauss-Newton step with f_U
-    (n, m); zeros where these are not finite.
-    """
+    """The change of inputs (m,) with the least f (n,), in states' sizes, by a Gauss-Newton step with f_U (n, m)."""
     f, f_U = f / sizes, f_U / sizes[:, None]
     if not (np.isfinite(f).all() and np.isfinite(f_U).all()):
         return np.zeros(f_U.shape[1])
@@ -97,9 +95,7 @@ def _corrected(
 
 
 def _correction(g: np.ndarray, A: np.ndarray) -> tuple[np.ndarray, float]:
-    """The shortest v with A v = g by least squares, its rows scaled to 1, and the length of v and of what is left of g;
-    NaN where they are not finite.
-    """
+    """The shortest v with A v = g by least squares, rows scaled to 1; |v|, what is left of g; NaN if not finite."""
     rows = np.abs(A).max(axis=1)
     if not np.isfinite(rows).all() or not np.isfinite(g).all() or (g[rows == 0] != 0).any():
         return g, np.nan

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.plants.base import Plant
 
@@ -58,12 +57,10 @@ def _crossing(plant: Plant) -> float:
     """The median of |f| with kappa over half the box, of what moves; 0 where it is not known."""
     if not plant.declares_kappa:
         return 0.0
-    pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
-    low, high = np.array(pairs, dtype=float).T
-    X = randomness.generator(0, "rates").uniform(low, high, (DRAWN, plant.n))
+    X, width = plant.drawn("rates", DRAWN), np.ptp(plant.ranges(), axis=1)
     try:
         with np.errstate(all="ignore"):
-            speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(high > low, (high - low) / 2, 1.0)
+            speeds = np.abs(plant.f(X, plant.kappa(X))) / np.where(width > 0, width / 2, 1.0)
     except FAILURES:  # the check of the plant, or the loop, reports it
         return 0.0
     moving = speeds[np.isfinite(speeds) & (speeds > 0)]

@@ -12,8 +12,7 @@ from result_samples import timing
 from npred import plants
 from npred.lab.config.results import Certified, Evaluated, Trained
 from npred.lab.config.results.base import Result
-from npred.lab.config.results.certify import Certificate
-from npred.lab.config.results.evaluate import Behaviour
+from npred.lab.config.results.evaluate import Behaviour, Certificate
 from npred.lab.report.figures.style import power, short
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.stages.report import tables

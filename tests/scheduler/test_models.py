@@ -11,7 +11,7 @@ from typer.testing import CliRunner, Result
 import npred
 from npred.base.errors import ConfigError
 from npred.cli import app
-from npred.lab.stages.report import toml_text
+from npred.lab.config import dumps
 
 NET = """
 import torch
@@ -40,7 +40,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, kind in {"averaging": "AveragingNetwork", "gru": "GRUNetwork"}.items():
         train[name] = {"network": f"{HERE.parent}/pipeline/{name}.py:{kind}", "epochs": 1, "sizes": {"width": 4}}
     path = tmp_path / "own.toml"
-    path.write_text(toml_text.dumps({"plant": "activator_repressor"} | SMALL | {"train": train}))
+    path.write_text(dumps({"plant": "activator_repressor"} | SMALL | {"train": train}))
     return path
 
 

@@ -22,10 +22,10 @@ from torch.utils._pytree import tree_leaves
 from npred.lab.config import Training
 from npred.lab.training import captured, soap, training_loop
 from npred.lab.training.captured import CapturedStep, NotCapturable, OnDevice
-from npred.lab.training.checkpoint import Metrics
 from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.operators import Operator
 from npred.lab.training.rows import Fit, Rows
+from npred.lab.training.training_loop import Metrics
 
 CHANGES = {"epochs": 4, "batch": 6, "checkpoint_every": 2, "snapshots": [3], "weight_decay": 1e-3}
 

@@ -19,9 +19,9 @@ from npred.base import devices
 from npred.base.registry import short_name
 from npred.lab.config import DeepONet, Training
 from npred.lab.training import captured, training_loop
-from npred.lab.training.checkpoint import Metrics
 from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.rows import Fit, Rows
+from npred.lab.training.training_loop import Metrics
 
 pytestmark = [
     pytest.mark.gpu,

@@ -12,7 +12,7 @@ from silent import Silent
 
 from npred.base.errors import ConfigError, DivergedError, StoreError
 from npred.lab.config import DeepONet, Training
-from npred.lab.training import checkpoint, training_loop
+from npred.lab.training import training_loop
 from npred.lab.training.loss import Criterion, weights
 from npred.lab.training.rows import Fit, Rows
 from npred.lab.training.training_loop import cycle_ends, errors, rate
@@ -153,7 +153,7 @@ def test_loss_that_is_not_finite_is_an_error_in_one_line(tmp_path):
 
 def test_broken_checkpoint_names_the_file(tmp_path):
     training_loop.fit(task(SMALL[0]), tmp_path, Silent())
-    path = tmp_path / checkpoint.NAME
+    path = tmp_path / training_loop.CHECKPOINT
     path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(
         StoreError, match=r"checkpoint\.safetensors: expected a checkpoint, got.*delete it to start over"
@@ -165,7 +165,7 @@ def test_broken_checkpoint_names_the_file(tmp_path):
 def test_a_flipped_bit_anywhere_in_a_checkpoint_is_found(config, tmp_path):
     """In the header as in the tensors and the metrics: what is resumed becomes a result that counts as sound."""
     training_loop.fit(task(config), tmp_path, Silent())
-    path, draw = tmp_path / checkpoint.NAME, np.random.default_rng(0)
+    path, draw = tmp_path / training_loop.CHECKPOINT, np.random.default_rng(0)
     whole = path.read_bytes()
     header = 8 + int.from_bytes(whole[:8], "little")
     for position in [*draw.integers(0, header, 20), *draw.integers(header, len(whole), 20)]:
@@ -192,7 +192,7 @@ def test_a_snapshot_that_changed_since_the_checkpoint_is_found(tmp_path, damage)
 
 def test_checkpoint_leaves_no_partial_file(tmp_path):
     training_loop.fit(task(SMALL[0]), tmp_path, Silent())
-    assert [path.name for path in tmp_path.iterdir()] == [checkpoint.NAME]
+    assert [path.name for path in tmp_path.iterdir()] == [training_loop.CHECKPOINT]
 
 
 def test_rates():

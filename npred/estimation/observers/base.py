@@ -244,9 +244,7 @@ class Observer(ABC):
 
     @property
     def _places(self) -> list[int]:
-        """Their places among the states and then the plant's outputs. Of two that share a name it is the state, unless
-        all of the plant's outputs are meant.
-        """
+        """Their places among states, then outputs; a name of both is the state, unless all are the plant's outputs."""
         states, outputs = self.plant.states, self.plant.outputs
         all_own = self.plant.declares_output and self.outputs == outputs
         return [
@@ -281,10 +279,9 @@ class Observer(ABC):
     @cached_property
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
         """Points of the box (POINTS, n), and its ends (2, n)."""
-        point = zip(self.plant.states, self.operating_point[0].tolist(), strict=True)
-        ends = [self.plant.box.get(name, (a - max(1.0, abs(a)), a + max(1.0, abs(a)))) for name, a in point]
-        low, high = np.array(ends).T
-        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), np.array([low, high])
+        X = self.operating_point[0]
+        low, high = ends = self.plant.ranges(X, np.maximum(1.0, np.abs(X))).T
+        return np.random.default_rng(0).uniform(low, high, (POINTS, self.plant.n)), ends
 
 
 def _finite(rows: np.ndarray) -> np.ndarray:

@@ -26,9 +26,7 @@ LISTED = 12  # names in a message
 
 
 class TimeSeries(NamedTuple):
-    """Values (N,) at their times t (N,), each from the line of a text, the row of arrays or the message `rows` (N,),
-    which are counted from 1.
-    """
+    """Values (N,) at times t (N,), each from the line, row or message `rows` (N,), which are counted from 1."""
 
     t: np.ndarray
     values: np.ndarray

@@ -49,7 +49,6 @@ class Mat(Arrays):
     what = "a .mat file"
 
     def load(self) -> Any:
-        """Variables by name."""
         io = required("recording mat", "scipy.io", "scipy", "identify")
         try:
             with warnings.catch_warnings():
@@ -69,7 +68,6 @@ class Json(Arrays):
     what = "a JSON text"
 
     def load(self) -> Any:
-        """The value."""
         return json_files.parse(json_files.regular(self.path).read_text(encoding="utf-8-sig"))
 
 

@@ -29,10 +29,7 @@ Columns = Sequence[Sequence[Any]]  # one topic: times of the log in ns, moments,
 
 
 class Bag(NamedTuple):
-    """Topics, the time of the first message in ns, and the messages of topics.
-
-    A message is (topic, time of the log in ns, what was decoded).
-    """
+    """Topics, the first time in ns, and messages of topics: (topic, time of the log in ns, what was decoded)."""
 
     topics: Collection[str]
     start: int

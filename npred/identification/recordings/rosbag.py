@@ -17,7 +17,6 @@ class Rosbag(Topics):
 
     @contextmanager
     def bag(self) -> Iterator[Bag]:
-        """The opened bag."""
         folder = self.path.suffix == ".db3" and (self.path.parent / "metadata.yaml").exists()
         path = self.path.parent if folder else self.path
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:

@@ -78,9 +78,7 @@ def _decoded(content: bytes) -> str:
 
 
 def _layout(lines: Sequence[str], separator: str) -> tuple[int, float, list[int]]:
-    """How many cells most lines have by a separator, the share of cells in these that hold no words, and the columns
-    that hold numbers or stamps.
-    """
+    """The most frequent number of cells by a separator, how many of these are no words, and the columns of numbers."""
     rows = [_cells(line, separator) for line in lines]
     counts = Counter(map(len, rows))
     width = max(counts, key=lambda n: n * counts[n])

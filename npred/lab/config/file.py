@@ -1,11 +1,12 @@
-"""Pipeline files: read, overridden by `--set`, parsed; and the fault of one, in one line."""
+"""Pipeline files: read, overridden by `--set`, parsed, written; and the fault of one, in one line."""
 
+import json
 import os
 import re
 import reprlib
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from pydantic import ValidationError
 
 from npred.base import defaults, json_files
 from npred.base.errors import ConfigError, similar
-from npred.lab.config import words
+from npred.lab.config import section
 from npred.lab.config.pipeline import Pipeline
 from npred.lab.config.section import Section, map_paths, tables
 
@@ -126,7 +127,7 @@ def _sentence(error: ValidationError) -> str:
         said = str(first["ctx"]["error"])
         above = where.rpartition(".")[0] if path and said.startswith(f"{path[-1]}:") else where
         return f"{above + '.' if above else ''}{said}"
-    said = [words.expected(each) for each in faults if _path(each) == path]
+    said = [section.expected(each) for each in faults if _path(each) == path]
     kinds, cures = (list(dict.fromkeys(each)) for each in zip(*said, strict=True))
     kinds, cure = " or ".join(kinds), cures[0] if len(cures) == 1 else "write one of these"
     came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
@@ -159,3 +160,33 @@ def _leaves(model: type = Pipeline, path: str = "") -> Iterator[str]:
     for name, kind in kinds.items():
         inner = tables(kind)
         yield from _leaves(inner[0], f"{path}{name}.") if inner else [path + name]
+
+
+def dumps(table: Mapping[str, object]) -> str:
+    """The TOML text of nested tables, which nothing in Python writes; a key with the value None is left out."""
+    return "\n".join(_lines(table, ())).strip() + "\n"
+
+
+def _lines(table: Mapping[str, object], path: tuple[str, ...]) -> list[str]:
+    filled = {key: value for key, value in table.items() if value is not None}
+    leaves = [f"{_written(key)} = {_value(value)}" for key, value in filled.items() if not isinstance(value, Mapping)]
+    head = ["", f"[{'.'.join(map(_written, path))}]"] if path and (leaves or not filled) else []
+    below = [line for k, v in filled.items() if isinstance(v, Mapping) for line in _lines(v, (*path, k))]
+    return [*head, *leaves, *below]
+
+
+def _written(key: str) -> str:
+    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else json.dumps(key, ensure_ascii=False)
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, Mapping):
+        filled = {_written(key): _value(item) for key, item in value.items() if item is not None}
+        return f"{{ {', '.join(f'{key} = {item}' for key, item in filled.items())} }}"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    return repr(value)

@@ -8,21 +8,10 @@ from pydantic import Field, create_model, model_validator
 
 from npred.base import registry
 from npred.base.registry import METHODS
+from npred.lab.config import section
 from npred.lab.config.evaluate import Evaluate
 from npred.lab.config.loop import LoopTable
-from npred.lab.config.section import (
-    Baseline,
-    Count,
-    Delay,
-    Kappa,
-    Number,
-    Positive,
-    Range,
-    Runtime,
-    Section,
-    Some,
-    Span,
-)
+from npred.lab.config.section import Baseline, Count, Delay, Number, Positive, Range, Runtime, Section, Some, Span
 from npred.lab.config.train import Train
 
 NAME = re.compile(r"[^\W_][\w.-]{0,99}")  # a pipeline's name
@@ -74,9 +63,8 @@ class Generate(LoopTable):
         if self.rollouts < 2:
             raise ValueError("rollouts: expected at least 2, got 1; one is held out for the test")
         if not self.rollouts <= self.samples <= self.rollouts * round(self.t_end / self.dt):
-            raise ValueError(
-                f"samples: expected 1 to t_end / dt per rollout, got {self.samples} of {self.rollouts}; change either"
-            )
+            what, cure = "samples: expected 1 to t_end / dt per rollout", "change either"
+            raise ValueError(f"{what}, got {self.samples} of {self.rollouts}; {cure}")
         return self
 
 
@@ -127,7 +115,7 @@ class _Tables(Section):
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, Number] = {}  #: overrides of the plant's
     #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
-    kappa: Kappa | dict[str, Any] | Literal[""] = ""
+    kappa: section.Kappa | dict[str, Any] | Literal[""] = ""
     delays: list[Delay] | None = None  #: the delay of each input, if they differ; by default the plant's
     generate: Generate = Generate()
     train: Train = Train()
@@ -142,19 +130,17 @@ class _Tables(Section):
             nodes = self.train.table(name).nodes
             if nodes and not self.generate.data and intervals % (nodes - 1):
                 counts = ", ".join(str(k + 1) for k in range(1, intervals + 1) if intervals % k == 0)
-                raise ValueError(
-                    f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}, got {nodes}; "
-                    f"take one of {counts}"
-                )
+                what = f"train.{name}.nodes: expected nodes - 1 to divide generate.nx - 1 = {intervals}"
+                cure = f"take one of {counts}"
+                raise ValueError(f"{what}, got {nodes}; {cure}")
         return self
 
     @model_validator(mode="after")
     def _check_name(self) -> Self:
         if not NAME.fullmatch(self.name):
-            raise ValueError(
-                f"name: expected up to 100 letters, digits, . _ and -, a letter or digit first, got {self.name!r}; "
-                "files are named after it: choose another"
-            )
+            what = "name: expected up to 100 letters, digits, . _ and -, a letter or digit first"
+            cure = "files are named after it: choose another"
+            raise ValueError(f"{what}, got {self.name!r}; {cure}")
         return self
 
     def optional(self, stage: str) -> Any:

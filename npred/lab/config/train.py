@@ -34,9 +34,8 @@ class Training(Section):
     def _check_snapshots(self) -> Self:
         late = [k for k in self.snapshots if k > self.epochs]
         if late:
-            raise ValueError(
-                f"snapshots: expected epochs of 1 to {self.epochs}, got {late[0]}; raise epochs or drop it"
-            )
+            cure = "raise epochs or drop it"
+            raise ValueError(f"snapshots: expected epochs of 1 to {self.epochs}, got {late[0]}; {cure}")
         if self.snapshots and self.eps:
             raise ValueError("snapshots: expected none beside eps, with which a training may end before; drop one")
         return self
@@ -117,10 +116,9 @@ class Train(Section):
             if not isinstance(table, dict | Network):
                 raise PydanticCustomError("extra_forbidden", "{key}", {"key": key})
             if not key.isidentifier() or len(key) > 100 or key in (*TAKEN, *METHODS.names()):
-                raise ValueError(
-                    f"{key}: expected the name of a network, of letters, digits and _, and none that results use, "
-                    f"got {key!r}; choose another"
-                )
+                what = f"{key}: expected the name of a network, of letters, digits and _, and none that results use"
+                cure = "choose another"
+                raise ValueError(f"{what}, got {key!r}; {cure}")
         return data | {k: {"network": k} | table for k, table in chosen.items() if isinstance(table, dict)}
 
     @model_validator(mode="after")

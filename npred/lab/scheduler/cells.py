@@ -65,9 +65,8 @@ def values(text: str) -> list[str]:
         match = _RANGE.fullmatch(piece := piece.strip() if len(pieces) > 1 else piece)
         numbers = range(int(match[1]), int(match[2]), int(match[3] or 1)) if match else ()
         if match and not 0 < len(numbers) <= MOST:
-            raise ConfigError(
-                f"--set: expected a range as 0:10, its end not in it, got {piece!r}; write 0:10 or 0:10:5"
-            )
+            cure = "write 0:10 or 0:10:5"
+            raise ConfigError(f"--set: expected a range as 0:10, its end not in it, got {piece!r}; {cure}")
         expanded += map(str, numbers) if match else [piece]
     if len(pieces) > 1 and "" in expanded:
         raise ConfigError(f"--set: expected values between the commas, got {text!r}; drop the empty one")

@@ -43,7 +43,6 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """The name of its module."""
         return self.package.rpartition(".")[2]
 
     @property
@@ -58,7 +57,6 @@ class Stage:
 
     @property
     def result(self) -> "type[Result]":
-        """The model of its result."""
         return registry.attribute(self.result_class)
 
     @property

@@ -25,9 +25,7 @@ from npred.prediction.methods import Predictor
 
 
 class Stored(NamedTuple):
-    """A trained model: folder, network, the epoch of a snapshot (None: the final weights), the plant, and the table of
-    the pipeline that names it.
-    """
+    """A trained model; `snapshot` is an epoch, None for the final weights, `config` the table that names it."""
 
     folder: Path
     model: str
@@ -120,9 +118,8 @@ def load_model(spec: str, root: Path | None = None, overrides: list[str] | Mappi
         artifact = _last(pipeline, store, "train", name, expected, todo)
         plant, table = plants.resolve(*pipeline.of_plant), pipeline.train.table(name)
     elif overrides:
-        raise ConfigError(
-            f"{spec}: expected PIPELINE:MODEL, whose keys can be set, got a result; leave out its settings"
-        )
+        cure = "leave out its settings"
+        raise ConfigError(f"{spec}: expected PIPELINE:MODEL, whose keys can be set, got a result; {cure}")
     else:
         artifact, plant, table = store.find(name), None, None
     manifest, epoch = artifact.verify().manifest, asked.epoch
@@ -183,7 +180,6 @@ def _named(artifact: Artifact, spec: str) -> Plant:
     values = parameters if isinstance(parameters, dict) else {}
     plant = plants.resolve(str(name), values) if plants.is_builtin(name) else None
     if plant is None or identity(plant) != named:
-        raise ConfigError(
-            f"{spec}: expected a built-in plant, got {name!r} of another npred or of a file; use PIPELINE:MODEL"
-        )
+        cure = "use PIPELINE:MODEL"
+        raise ConfigError(f"{spec}: expected a built-in plant, got {name!r} of another npred or of a file; {cure}")
     return plant

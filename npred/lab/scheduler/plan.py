@@ -135,9 +135,7 @@ class Resolver(ABC):
         """The result of a node, made now: its files in `folder`, its checkpoints in `scratch`."""
 
     def plan(self, nodes: Iterable[Node]) -> list[Step]:
-        """One step per node, in order, without running anything. Raises StoreError for a corrupt manifest, and what
-        `check` raises.
-        """
+        """One step per node, in order; nothing runs. Raises StoreError for a corrupt manifest, and as `check` does."""
         nodes = list(nodes)
         self.check(nodes)
         steps: dict[str, Step] = {}

@@ -210,9 +210,7 @@ class Runner:
 
 
 def _check(planner: Resolver, nodes: Sequence[Node]) -> None:
-    """Raise ConfigError where the nodes ask for an absent part, MissingError where one that has to run lacks its
-    package: before the minutes of the stages above it.
-    """
+    """Raise ConfigError for an absent part, MissingError for a package that will lack, before the minutes above it."""
     planner.check(nodes)
     lacks = {name for name, stage in STAGES.items() if stage.needs and not installed(stage.needs)}
     if not lacks.intersection(node.stage for node in nodes):

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -366,7 +366,7 @@ def tune(pipeline: Pipeline, plant: Plant, jobs: int = 1, console: Console | Non
     held_out = judges.run(ranges.present, _stoppable)
     if training.settled.all() and held_out.settled.all():
         longest = float(max(training.time.max(), held_out.time.max()))
-        t_end = _whole(LONGER * longest, pipeline.evaluate.dt)
+        t_end = max(10, math.ceil(LONGER * longest / pipeline.evaluate.dt)) * pipeline.evaluate.dt
         loops, judges = (replace(each, t_end=t_end) for each in (loops, judges))
         training, held_out = (each.run(ranges.present, _stoppable) for each in (loops, judges))
     tries = table.evaluations or TRIES * len(ranges.low)
@@ -434,7 +434,7 @@ def _search(
     """
     import cma  # slow to import
 
-    tried, start, size = 0, ranges.start(), _points(len(ranges.low))
+    tried, start, size = 0, ranges.start(), 4 + int(3 * np.log(max(len(ranges.low), 2)))
     options: dict[str, Any] = {"bounds": [0.0, 1.0], "seed": np.nan, "verbose": -9}
     options["randn"] = lambda *shape: rng.standard_normal(shape)
     while tried + size <= evaluations:
@@ -445,16 +445,6 @@ def _search(
             search.tell(asked, costs([ranges.numbers(z) for z in asked]))
             tried += len(asked)
         start, size = rng.uniform(size=len(start)), 2 * size
-
-
-def _points(numbers: int) -> int:
-    """Settings per generation of CMA-ES."""
-    return 4 + int(3 * np.log(max(numbers, 2)))
-
-
-def _whole(seconds: float, dt: float) -> float:
-    """A time in whole control steps, at least ten, not shorter than that."""
-    return max(10, math.ceil(seconds / dt)) * dt
 
 
 def _stoppable(steps: int) -> None:
@@ -478,7 +468,7 @@ def compared(before: np.ndarray, after: np.ndarray, rng: np.random.Generator) ->
     low, high = np.quantile(1 - drawn[1] / drawn[0], [0.025, 0.975])
     return BeforeAfter(
         before=means[0], after=means[1], gain=1 - means[1] / means[0], interval=(float(low), float(high))
-    )  # fmt: skip
+    )
 
 
 def said(numbers: Mapping[str, float]) -> str:
@@ -491,9 +481,8 @@ def _judged(yardstick: Yardstick, before: Settling, after: Settling, seed: int) 
     both = before.settled & after.settled
     pairs = {name: [np.where(both, getattr(each, name), np.nan) for each in (before, after)] for name in FIGURES}
     pairs["cost"] = [yardstick.costs(each) for each in (before, after)]
-    figures = {
-        name: compared(old, new, randomness.generator(seed, "tune", "bootstrap")) for name, (old, new) in pairs.items()
-    }
+    bootstrap = partial(randomness.generator, seed, "tune", "bootstrap")
+    figures = {name: compared(old, new, bootstrap()) for name, (old, new) in pairs.items()}
     return JudgedLoops(
         loops=before.time.size, cost=figures["cost"], settle_time=figures["time"], peak=figures["peak"],
         effort=figures["effort"], unsettled=(int((~before.settled).sum()), int((~after.settled).sum())),

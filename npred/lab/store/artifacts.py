@@ -100,10 +100,7 @@ class Store:
         return marker.is_file() and not marker.is_symlink()
 
     def adopt(self) -> None:
-        """Mark a folder that is new, empty or holds results, copied ones say; not one of other things.
-
-        A folder that cannot be written goes without.
-        """
+        """Mark a folder that is new, empty or holds results, copied ones say, if it can be written; not another one."""
         if not self.marked and (not self.root.exists() or not any(self.root.iterdir()) or self.artifacts()):
             self._mark()
 
@@ -139,10 +136,7 @@ class Store:
     def commit(
         self, draft: Path, question: Question, pipeline: str, device: str = "cpu", seconds: float | None = None
     ) -> Artifact:
-        """Make a draft durable and rename it into place; a result already there steps aside (a forced rerun).
-
-        `seconds`: how long its run took.
-        """
+        """Make a draft of a run of so many `seconds` durable, and rename it into place; an older result steps aside."""
         manifest = Manifest.describe(question, pipeline, draft, device, seconds)
         (draft / NAME).write_text(manifest.model_dump_json(indent=1) + "\n", encoding="utf-8")
         for path in [*draft.rglob("*"), draft]:
@@ -202,9 +196,8 @@ class Store:
         if of_stage:
             return of_stage[-1]
         stage, _, prefix = reference.rpartition("/")
-        matching = [
-            a for a in everything if a.manifest.key.startswith(prefix) and stage in ("", a.manifest.question.stage)
-        ]
+        keyed = [a for a in everything if a.manifest.key.startswith(prefix)]
+        matching = [a for a in keyed if stage in ("", a.manifest.question.stage)]
         if len(matching) != 1 or not prefix:
             names = ", ".join(a.name for a in matching[:4]) or "none"
             stored = {*STAGES, *NETWORKS.names(), *(q.model for _, q in asked if q.model)}

@@ -71,10 +71,7 @@ def _holder(note: Path) -> str:
 
 @contextmanager
 def claimed(root: Path) -> Iterator[Claim]:
-    """A call with a key claims it until the block ends, or this process does.
-
-    A store that cannot be written takes no claims, and nobody deletes from it either.
-    """
+    """A call with a key claims it until the block ends, or the process; nobody deletes from a store without claims."""
     in_use(root)  # takes away what a process that was killed left
     with ExitStack() as stack:
         try:

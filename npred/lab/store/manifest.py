@@ -31,10 +31,7 @@ _ENCODER = json.JSONEncoder(
 
 
 def canonical(value: object) -> str:
-    """JSON with sorted keys and no spaces: one text per value, a part of a manifest as the table of its fields.
-
-    Raises ValueError for NaN and infinities.
-    """
+    """JSON with sorted keys and no spaces; a part of a manifest as its table. Raises ValueError for NaN, infinity."""
     return _ENCODER.encode(value)
 
 
@@ -168,16 +165,13 @@ class Manifest(ManifestPart):
         """Raise StoreError, naming the file, unless the folder holds the payload as it was written and nothing else."""
         sizes = dict(_files(folder))
         for name, payload in self.files.items():
+            path = folder / name
             if name not in sizes:
-                raise StoreError(
-                    f"{folder / name}: expected a file of {payload.size} bytes, found none; {cure(folder)}"
-                )
-            got = f"{sizes[name]} bytes" if sizes[name] != payload.size else json_files.sha256(folder / name)
+                raise StoreError(f"{path}: expected a file of {payload.size} bytes, found none; {cure(folder)}")
+            got = f"{sizes[name]} bytes" if sizes[name] != payload.size else json_files.sha256(path)
             if got != payload.sha256:
                 recorded = f"sha256 {payload.sha256[:12]} in {payload.size} bytes"
-                raise StoreError(
-                    f"{folder / name}: expected {recorded}, got {got[:32]}: the file is corrupt; {cure(folder)}"
-                )
+                raise StoreError(f"{path}: expected {recorded}, got {got[:32]}: the file is corrupt; {cure(folder)}")
         more = sorted(sizes.keys() - self.files.keys())
         if more:
             raise StoreError(f"{folder / more[0]}: expected no such file in a result, found it; move it elsewhere")

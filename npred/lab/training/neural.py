@@ -21,7 +21,7 @@ class Neural(Predictor):
 
     def __init__(
         self, plant: Plant, operator: TrainedOperator, nx: int = 101, device: str = "cpu", name: str = "neural"
-    ) -> None:  # fmt: skip
+    ) -> None:
         super().__init__(plant, nx)
         self.name = name  # type: ignore[misc]
         self.operator, self.device = operator.module(plant).to(device).eval(), device

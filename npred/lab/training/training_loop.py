@@ -1,5 +1,7 @@
 """One training loop for every network: seeded by epoch, resumable, readable from top to bottom."""
 
+import hashlib
+import json
 import math
 from collections.abc import Callable
 from functools import partial
@@ -8,21 +10,24 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
 
-from npred.base import randomness
-from npred.base.errors import DivergedError, first_line
+from npred.base import json_files, randomness
+from npred.base.errors import DivergedError, StoreError, first_line
 from npred.lab.config import Training
-from npred.lab.training import captured, checkpoint
-from npred.lab.training.checkpoint import Metrics
+from npred.lab.training import captured
 from npred.lab.training.operators import Operator
 from npred.lab.training.rows import REST_NODES, Fit, Rows
 from npred.lab.training.soap import SOAP, GraphSOAP
 from npred.networks.weights import file_of
 
+CHECKPOINT = "checkpoint.safetensors"
 CHUNK = 1024  # rows of a call without gradients
 WARM_UP = 0.05  # share of the steps in which the one-cycle rate climbs
 CYCLES = 4  # cycles of that rate in a training that may end before its last epoch, each twice as long as the one before
+Metrics = list[dict[str, Any]]
 
 
 def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
@@ -60,7 +65,7 @@ def fit(task: Fit, scratch: Path, progress: Any) -> Metrics:
             if epoch in config.snapshots:
                 task.operator.weights().save(scratch / file_of(epoch))
             if epoch % config.checkpoint_every == 0:
-                checkpoint.save(scratch, task.operator, optimiser, metrics)
+                save_checkpoint(scratch, task.operator, optimiser, metrics)
             progress.measured(title, metrics[-1])
             bar.advance(1, f"loss {loss:.2e}, ε sup {metrics[-1]['eps_sup']:.2e}")
     if config.eps and not _reached(config, metrics):
@@ -77,14 +82,14 @@ def _begun(task: Fit, scratch: Path, progress: Any) -> tuple[torch.optim.Optimiz
     device = task.test.X.device
     if captured.serves(str(device)):
         optimiser = optimiser_of(task.operator, task.config, torch.zeros((), device=device))
-        metrics = checkpoint.restore(scratch, task.operator, optimiser)
+        metrics = restored(scratch, task.operator, optimiser)
         try:
             return optimiser, captured.CapturedStep(task, optimiser, partial(step, task, optimiser)), metrics
         except Exception as error:  # CUDA and torch have many for what a graph cannot hold
             expected = f"{task.title}: expected a step that a CUDA graph can hold, got: {first_line(error)}"
             progress.warn(f"{expected}; training by eager steps, which are slower")
     optimiser = optimiser_of(task.operator, task.config)
-    return optimiser, partial(step, task, optimiser), checkpoint.restore(scratch, task.operator, optimiser)
+    return optimiser, partial(step, task, optimiser), restored(scratch, task.operator, optimiser)
 
 
 def optimiser_of(operator: Operator, config: Training, rate: Tensor | None = None) -> torch.optim.Optimizer:
@@ -130,9 +135,7 @@ def cycle_ends(config: Training) -> list[int]:
 
 
 def _reached(config: Training, metrics: Metrics) -> bool:
-    """Whether the stated error is reached at the end of a cycle: within one the rate is high, and the error is not the
-    network's best.
-    """
+    """Whether the stated error is reached at the end of a cycle: within one, the error is not the network's best."""
     return bool(config.eps) and len(metrics) in cycle_ends(config) and metrics[-1]["eps_sup"] <= config.eps
 
 
@@ -146,3 +149,61 @@ def errors(operator: Operator, rows: Rows) -> dict[str, float]:
         squares += float(square.sum(dtype=torch.float64))
         sup = max(sup, float(square.sum(-1).max()))
     return {"mse": squares / rows.P.numel(), "eps_sup": math.sqrt(sup)}
+
+
+def save_checkpoint(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer, metrics: Metrics) -> None:
+    """Write parameters, buffers and the optimiser's moments as tensors, the metrics so far as JSON in the header.
+
+    The file is complete or absent: it is written beside its name, synced and renamed. It holds a digest of all that is
+    in it and of the snapshots beside it: a bit that flips must not become a result. Nothing is ever unpickled.
+    """
+    partial = folder / f"{CHECKPOINT}.partial"
+    moments = {
+        f"optimiser/{index}/{key}": tensor.clone()  # several may be views of one tensor, which no file may hold
+        for index, state in optimiser.state_dict()["state"].items()
+        for key, tensor in state.items()
+    }
+    tensors = {**network.state_dict(), **moments}
+    snapshots = {path.name: json_files.sha256(path) for path in sorted(folder.glob("snapshot-*.safetensors"))}
+    texts = {"metrics": json.dumps(metrics), "snapshots": json.dumps(snapshots)}  # parts of the result as they are
+    save_file(tensors, partial, metadata=texts | {"sha256": _digest(tensors, texts)})
+    json_files.sync(partial)
+    partial.replace(folder / CHECKPOINT)
+
+
+def restored(folder: Path, network: nn.Module, optimiser: torch.optim.Optimizer) -> Metrics:
+    """Load the folder's checkpoint in place, if there is one; the metrics of the epochs behind it, else none.
+
+    Raises StoreError for a file that is broken or was changed, and for such a snapshot.
+    """
+    path = folder / CHECKPOINT
+    if not path.exists():
+        return []
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+            texts = file.metadata()
+        if texts.pop("sha256", "") != _digest(tensors, texts):
+            raise ValueError("other bytes than were written")
+        for name, digest in json_files.parse(texts["snapshots"]).items():
+            if not (folder / name).is_file() or json_files.sha256(folder / name) != digest:
+                raise ValueError(f"{name} missing or with other bytes than were written")
+        network.load_state_dict({name: tensors.pop(name) for name in network.state_dict()})
+        state: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in tensors.items():
+            _, index, key = name.split("/")
+            state.setdefault(int(index), {})[key] = tensor
+        optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+        return json_files.parse(texts["metrics"])
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        expected = f"{path}: expected a checkpoint, got: {first_line(error)}"
+        raise StoreError(f"{expected}; delete it to start over") from None
+
+
+def _digest(tensors: dict[str, Tensor], texts: dict[str, str]) -> str:
+    """The sha256 of names, types, shapes and bytes of tensors, and of the texts beside them."""
+    digest = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().data)
+    return digest.hexdigest()

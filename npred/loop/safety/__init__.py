@@ -50,10 +50,8 @@ class SafetyFilter:
     def check(self, plant: "Plant") -> None:
         """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
         if not plant.declares_safe:
-            raise ConfigError(
-                f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
-                f"plant {plant.name} has none; write it"
-            )
+            what, cure = "safety: expected a plant with safe(x, t, p, M)", "write it"
+            raise ConfigError(f"{what}, which is at least 0 where it is safe, plant {plant.name} has none; {cure}")
         if not self.serves(plant):
             raise ConfigError(
                 f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from npred.base import randomness
 from npred.base.errors import ConfigError
 from npred.formulas import Value, tape
 from npred.kernels.formula import Formulas, vector
@@ -70,7 +69,7 @@ def numbers(
     plant: Plant, dt: float, input_bounds: ArrayLike, margin: float, alpha: float | None, horizon: float | None
 ) -> np.ndarray:
     """What npred/kernels/c/protect.h reads, in the order there: sizes, and the grid of time."""
-    X = states(plant)
+    X = plant.drawn("limits", DRAWN)
     box, (fastest, slowest) = np.ptp(X, axis=0), rates(plant, X)
     lengths = np.minimum(dt * GROWTH ** np.maximum(np.arange(STEPS) - HELD + 1, 0), max(LONGEST / fastest, dt))
     held, total = HELD * dt, min(lengths.sum(), horizon or SPAN / slowest)
@@ -85,13 +84,6 @@ def numbers(
         sizes = np.nanmedian(np.abs(plant.safe(X)), axis=0)
     sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
     return np.array([*(ERROR * box), margin, dt, *widths, *sizes, *lengths, *decay, *ramp, *edges])
-
-
-def states(plant: Plant) -> np.ndarray:
-    """States of the box (DRAWN, n), which is 1 around the guess where it has no range."""
-    pairs = [plant.box.get(name, (a - 1, a + 1)) for name, a in zip(plant.states, plant.guess, strict=True)]
-    low, high = np.array(pairs, dtype=float).T
-    return randomness.generator(0, "limits").uniform(low, high, (DRAWN, plant.n))
 
 
 def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:

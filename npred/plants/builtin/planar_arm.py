@@ -73,9 +73,7 @@ def _motion(t, p, M, links: int):
 
 
 def _mechanics(x, p, M, links: int):
-    """The mass matrix c_ij cos(theta_i - theta_j), by the sines and cosines of the angles alone, and the loads:
-    centrifugal forces and weight.
-    """
+    """The mass matrix c_ij cos(theta_i - theta_j), by sines and cosines, and the loads: centrifugal forces, weight."""
     s, c = [M.sin(x[i]) for i in range(links)], [M.cos(x[i]) for i in range(links)]
     squares, moment, spin = [rate * rate for rate in x[links:]], p.mass * p.length, p.mass * p.length * p.length
     # c_ij: what rod max(i, j) and those beyond it add, and a rod's own inertia, m l² / 3 about its end

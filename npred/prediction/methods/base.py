@@ -71,9 +71,8 @@ class Predictor(InNotebook, ABC):
         if X.ndim < 1 or X.shape[-1] != n:
             raise ConfigError(f"X: expected shape (..., {n}) for plant {self.plant.name}, got {X.shape}; add the axis")
         if u.ndim < 2 or u.shape[-1] != m or u.shape[-2] < 2:
-            raise ConfigError(
-                f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; one row per node, both ends in"
-            )
+            cure = "one row per node, both ends in"
+            raise ConfigError(f"u: expected shape (..., nx, {m}) with nx >= 2, got {u.shape}; {cure}")
         # the time of samples from elsewhere may be unknown, where nothing needs it
         for name, array in (("X", X), ("u", u), *([("t", t)] if self.plant.clocked else [])):
             array_checks.finite(name, array)

@@ -11,9 +11,9 @@ from npred import plants
 from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.lab import config
+from npred.lab.config import dumps
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.stages.identify.pipeline import composed
-from npred.lab.stages.report import toml_text
 
 PLANTS = """
 class Room:
@@ -61,7 +61,7 @@ def made(kind: str, D: list[float], interval: list[tuple[float, float]], period:
     answer |= {"ranges": {"T": (1.0, 30.0)}, "refused": False, "held_back": {}, "sentences": [], "samples": 99} | more
     answer |= {"plant": kind, "inputs": list(plant.inputs), "D": D, "interval": interval, "period": period}
     tables, remarks = composed(asked, plant, IdentifiedResult.model_validate(answer), Path("log.toml"))
-    Path("log.toml").write_text(toml_text.dumps(tables))
+    Path("log.toml").write_text(dumps(tables))
     return config.load("log.toml"), " ".join(remarks)
 
 

@@ -16,8 +16,7 @@ from npred.lab.config.results.base import (
     ranked,
 )
 from npred.lab.config.results.bench import Benched
-from npred.lab.config.results.certify import Certified
-from npred.lab.config.results.evaluate import Evaluated
+from npred.lab.config.results.evaluate import Certified, Evaluated
 
 __all__ = [
     "NO_ADAPTATION", "NUMERICAL", "Benched", "Certified", "PredictorId", "Evaluated", "Generated", "IdentifiedResult",

@@ -16,7 +16,7 @@ from npred.base import json_files, notebook
 from npred.base.defaults import RESULT
 from npred.base.errors import StoreError
 from npred.base.registry import NETWORKS
-from npred.lab.config import words
+from npred.lab.config import section
 
 T = TypeVar("T")
 
@@ -72,11 +72,10 @@ class Result(BaseModel):
             first = error.errors()[0]
             key = json_files.escaped(".".join(str(part) for part in first["loc"]))
             came = "none" if first["type"] == "missing" else reprlib.repr(first["input"])
-            there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {words.expected(first)[0]}"
-            raise StoreError(
-                f"{source}: expected a result as this npred writes it, {there}, got {came}; make it anew with "
-                "npred run, or show it with the npred that wrote it"
-            ) from None
+            there = f"no {key}" if first["type"] == "extra_forbidden" else f"at {key} {section.expected(first)[0]}"
+            what = f"{source}: expected a result as this npred writes it, {there}"
+            cure = "make it anew with npred run, or show it with the npred that wrote it"
+            raise StoreError(f"{what}, got {came}; {cure}") from None
 
 
 @dataclass(frozen=True)
@@ -129,13 +128,9 @@ def ranked(predictors: Iterable[PredictorId]) -> list[PredictorId]:
     return [replace(c, rank=others.index(c.model)) if c.model in others else c for c in predictors]
 
 
-def _by_ranked(values: dict[PredictorId, T]) -> dict[PredictorId, T]:
-    return dict(zip(ranked(values), values.values(), strict=True))
-
-
 NUMERICAL, NO_ADAPTATION = PredictorId("numerical"), PredictorId("no_adaptation")
 Name = Annotated[PredictorId, BeforeValidator(PredictorId.parse), PlainSerializer(lambda c: c.name, return_type=str)]
-RANKED = AfterValidator(_by_ranked)  # for a table by Name
+RANKED = AfterValidator(lambda values: dict(zip(ranked(values), values.values(), strict=True)))  # for a table by Name
 
 
 class Generated(Result):

@@ -15,19 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from npred.lab.config.results import PredictorId
-from npred.lab.report.figures.style import (
-    HANDLE,
-    MEDIA,
-    ROLES,
-    SCREEN,
-    Axes,
-    LineStyle,
-    Style,
-    lettered,
-    line_of,
-    log,
-    medium,
-)
+from npred.lab.report.figures.style import MEDIA, ROLES, SCREEN, Axes, LineStyle, Style, lettered, line_of, log, medium
 from npred.plants.notation import SUBSCRIPT, plain
 
 if TYPE_CHECKING:
@@ -35,7 +23,6 @@ if TYPE_CHECKING:
 
 FORMATS = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {"Software": None}}  # without dates
 DPI = 300
-LETTER, GAP = 0.47, 2.3  # widths of an M: a letter of a legend, and the room around an entry
 LINE = 1.6  # sizes of a letter: a line of a legend
 COLOURS = {light: role for role, (light, _) in ROLES.items()}
 
@@ -91,7 +78,6 @@ def curves(lines: Iterable[tuple[Any, ...]], xlabel: str, *logarithmic: str, **l
 
 
 def legend(predictors: Sequence[PredictorId]) -> list[LegendEntry]:
-    """An entry for each predictor."""
     return [LegendEntry(predictor.label, line_of(predictor)) for predictor in predictors]
 
 
@@ -103,7 +89,7 @@ def write(figure: Figure, folder: Path, style: Style = MEDIA["ieee2"], formats: 
     columns = min(style.columns, len(figure.panels))
     rows = -(-len(figure.panels) // columns)
     with medium(style):
-        across = _legend_columns(figure.legend, style)
+        across = style.columns_of([entry.label for entry in figure.legend])
         above = LINE * style.font / 72 * -(-len(figure.legend) // across)  # the legend, which takes no panel its height
         canvas = _canvas(style.width, rows * style.height * (1.0 if columns > 1 else 1.5) + above)
         axes = np.ravel(canvas.subplots(rows, columns, squeeze=False))
@@ -147,16 +133,6 @@ def _lay_out(canvas: "Canvas") -> None:
         if crowded and isinstance(axis.get_major_locator(), FixedLocator):
             axis.set_major_formatter(NullFormatter())
             canvas.draw_without_rendering()
-
-
-def _legend_columns(entries: Sequence[LegendEntry], style: Style) -> int:
-    """As many columns as fit beside each other; the entries are filled in column by column."""
-    room = style.width * 72 / style.font
-    for count in range(len(entries), 1, -1):
-        columns = np.array_split([LETTER * len(entry.label) for entry in entries], count)
-        if sum(column.max() + HANDLE + GAP for column in columns) < room:
-            return count
-    return 1
 
 
 def inline(panel: Panel, prefix: str) -> str:

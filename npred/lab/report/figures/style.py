@@ -1,6 +1,6 @@
 """The look of all figures: colours and lines of predictors, a page and papers, and readable ticks."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
@@ -97,6 +97,10 @@ def _palette(network: PredictorId) -> tuple[tuple[tuple[str, str], ...], int]:
     return (BUILTIN, builtin.index(network.model)) if network.model in builtin else (OTHERS, network.rank)
 
 
+HANDLE = 2.4  # widths of an M: the line of a legend's entry
+LETTER, GAP = 0.47, 2.3  # a letter of it, and the room around an entry
+
+
 @dataclass(frozen=True)
 class Style:
     """A page or a paper: width in inches, panels beside each other, points of text, its family, height of a panel."""
@@ -107,8 +111,16 @@ class Style:
     family: str
     height: float
 
+    def columns_of(self, labels: Sequence[str]) -> int:
+        """As many columns of a legend's entries as fit beside each other; they are filled in column by column."""
+        room = self.width * 72 / self.font
+        for count in range(len(labels), 1, -1):
+            columns = np.array_split([LETTER * len(label) for label in labels], count)
+            if sum(column.max() + HANDLE + GAP for column in columns) < room:
+                return count
+        return 1
 
-HANDLE = 2.4  # widths of an M: the line of a legend's entry
+
 SCREEN = Style(300 / 72, 1, 9.5, "DejaVu Sans", 2.9)  # one panel on a page
 MEDIA = {  # all panels in a file
     "ieee1": Style(3.5, 2, 6.5, "STIXGeneral", 1.35),

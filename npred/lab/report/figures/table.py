@@ -83,7 +83,6 @@ class Table:
         return columns([plain(column.head) for column in self.columns], cells, width, numbers=numbers)
 
     def markdown(self) -> str:
-        """A table of Markdown."""
         rows = [[column.head for column in self.columns], *self.texts]
         head, *others = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
         rule = "".join("|---:" if column.numeric else "|---" for column in self.columns) + "|"

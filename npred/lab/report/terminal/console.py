@@ -65,7 +65,6 @@ class RunLog:
             self.file.flush()
 
     def close(self) -> None:
-        """Nothing follows."""
         with suppress(OSError):
             self.file.close()
 
@@ -97,7 +96,6 @@ class Events:
             self.write(title, json.loads(line))
 
     def close(self) -> None:
-        """Everything to the disk."""
         for writer in self.writers.values():
             writer.close()
 
@@ -162,7 +160,6 @@ class Console:
         self._line(text, shown=self.verbose)
 
     def warn(self, text: str) -> None:
-        """A warning."""
         self._line(f"warning: {text}", "yellow")
 
     def error(self, text: str) -> None:
@@ -175,7 +172,6 @@ class Console:
         self._logged(f"npred {' '.join(sys.argv[1:])}  (in {Path.cwd()})")
 
     def close(self) -> None:
-        """The end of the log."""
         if self.log:
             self.log.close()
             self.log = None
@@ -223,9 +219,7 @@ class Console:
 
     @contextmanager
     def bar(self, title: str, total: int, unit: str, done: int = 0) -> Iterator["Bar"]:
-        """The progress of `total` units, named in the plural: a bar with the time left on a terminal, else a line now
-        and then. `done` of them were there before.
-        """
+        """The progress of `total` units, in the plural, `done` of them before: a bar, without a terminal lines."""
         with ExitStack() as stack:
             if not self.view:
                 stack.enter_context(self.watch("", []))

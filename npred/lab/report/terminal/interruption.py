@@ -15,7 +15,6 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 LINE = "interrupted; finished stages and checkpoints are stored: run the same command to go on"
@@ -47,7 +46,8 @@ def listen() -> None:
     _thread.start_new_thread(_watch, ())
     handled = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in handled:
-        signal.signal(number, _note)
+        # in the main thread, so that an error which it meets later is known to come later
+        signal.signal(number, lambda number, frame: _received.append(number))
     sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # read by the process that puts away what is left
     # The first to be registered is called last: while the interpreter is taken down, a signal would do its default.
     atexit.register(lambda: [signal.signal(number, signal.SIG_IGN) for number in handled])
@@ -100,11 +100,6 @@ def say(error: Callable[[str], None]) -> None:
 
 def _line() -> str:
     return _graceful[-1] if _graceful else LINE
-
-
-def _note(number: int, frame: FrameType | None) -> None:
-    """In the main thread, so that an error which it meets later is known to come later."""
-    _received.append(number)
 
 
 def _watch() -> None:

@@ -18,9 +18,7 @@ from npred.base.json_files import escaped
 from npred.lab.report.terminal.streams import MESSAGES, is_terminal
 
 MARKS = {"waiting": "[dim]·", "running": "[cyan]▸", "run": "[green]✓", "hit": "[dim]✓", "stopped": "[red]✗"}
-ECHO = (
-    4  # columns left free at its right: the ^C that a terminal shows must not begin a line that the view does not know
-)
+ECHO = 4  # columns left free at its right: a terminal's ^C must not begin a line that the view does not know
 BAR = 24  # columns of a bar
 BESIDE = 90  # columns that a training's name, words and times take: on a narrow screen the bar gives way first
 
@@ -29,7 +27,6 @@ class RunningBar(BarColumn):
     """The bar of a stage that counts its units, and of no other."""
 
     def render(self, task: Task) -> RenderableType:  # type: ignore[override]
-        """The bar, or nothing."""
         return super().render(task) if task.total else Text("")
 
 
@@ -41,7 +38,6 @@ class Words(ProgressColumn):
         self.what = what
 
     def render(self, task: Task) -> Text:
-        """The words on one line."""
         words = task.description if self.what == "description" else task.fields["doing"]
         return Text(words, no_wrap=True, overflow="ellipsis")
 
@@ -53,7 +49,6 @@ class Narrower:
     rows: RenderableType
 
     def __rich_console__(self, console: RichConsole, options: ConsoleOptions) -> RenderResult:
-        """The rows."""
         yield from console.render(self.rows, options.update_width(options.max_width - ECHO))
 
 
@@ -83,9 +78,7 @@ class LiveView(Progress):
 
     @contextmanager
     def bar(self, title: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
-        """The progress of a stage, or of a part, which gets a separate row; it yields a function of the units that are
-        done, and of words for them.
-        """
+        """The progress of a stage, or of a part, which gets a row; yields a function of units done and of words."""
         is_part = title not in self.stages
         task = self._running(title)
         with self._lock:  # rich would count what was there before as done now
@@ -121,7 +114,6 @@ class LiveView(Progress):
                 self.finish(title, "stopped")
 
     def get_renderables(self) -> Iterable[RenderableType]:
-        """The heading and the table."""
         if self.heading:
             yield Text(escaped(self.heading), "bold", no_wrap=True, overflow="ellipsis")
         yield Narrower(self.make_tasks_table(self.tasks))

@@ -49,22 +49,14 @@ def folded(text: str, limit: int | None) -> str:
 
 
 def answer(text: str) -> None:
-    """The text and a line end on stdout, at once.
-
-    Raises NpredError where stdout is closed or full, BrokenPipeError where its reader has left, as `head` does.
-    """
-    if sys.stdout is None:
-        raise unwritable("a closed one")
+    """The text and a line end on stdout. Raises NpredError where it is closed or full, BrokenPipeError for `head`."""
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
-    except BrokenPipeError:
-        silence(sys.stdout)
-        raise
     except OSError as error:
         silence(sys.stdout)
-        raise unwritable(error.strerror) from None
-    except ValueError:  # the file is closed
+        raise error if isinstance(error, BrokenPipeError) else unwritable(error.strerror) from None
+    except (ValueError, AttributeError):  # the file is closed, or there is none
         raise unwritable("a closed one") from None
 
 
@@ -104,7 +96,6 @@ class Messages:
 
     @property
     def encoding(self) -> str:
-        """That of stderr."""
         return getattr(self.stream, "encoding", None) or "utf-8"
 
     def write(self, text: str) -> int:
@@ -116,14 +107,12 @@ class Messages:
         return len(text)
 
     def flush(self) -> None:
-        """Flush, where that is possible."""
         try:
             self.stream.flush()
         except (OSError, ValueError):
             silence(self.stream)
 
     def isatty(self) -> bool:
-        """True if it is a screen."""
         return is_terminal(self.stream)
 
 

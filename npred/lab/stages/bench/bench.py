@@ -116,9 +116,7 @@ def sentences(result: Benched) -> list[str]:
 
 
 def fastest(result: Benched, numerical: str) -> dict[PredictorId, float]:
-    """The median µs of a call at the finest dx and batch 1: each network's in its fastest runtime, and the compiled
-    numerical predictor's.
-    """
+    """Median µs of a call at the finest dx and batch 1: networks in their fastest runtime, the compiled method's."""
     finest = min((row.dx for row in result.table), default=0.0)
     times: dict[PredictorId, float] = {}
     for row in result.table:

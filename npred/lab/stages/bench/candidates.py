@@ -91,10 +91,8 @@ class Reference:
         """
         later = np.flatnonzero(~(test.t <= test.D))
         if not len(later):
-            raise ConfigError(
-                f"bench: expected held-out samples after the first delay, got {len(test)} before it; lengthen "
-                "generate.t_end"
-            )
+            what, cure = "bench: expected held-out samples after the first delay", "lengthen generate.t_end"
+            raise ConfigError(f"{what}, got {len(test)} before it; {cure}")
         rows = later[np.linspace(0, len(later) - 1, min(PROBES, len(later))).astype(int)]
         return cls(plant, test.X[rows], test.u[rows], test.D_hat[rows], test.t[rows])
 
@@ -118,10 +116,7 @@ class Reference:
 
 
 def entries(job: Job, reference: Reference) -> list[Candidate]:
-    """Every candidate. Runtimes whose packages are missing are left out, with a note.
-
-    Raises MissingError where none is left.
-    """
+    """Every candidate; a note of runtimes without their packages. Raises MissingError where none is left."""
     config, models = job.config.bench, job.config.train.models
     networks = {name: _network(job, name) for name in models}
     available, methods = _available(job.progress, config), one_step_methods(job.config, job.plant)
@@ -152,9 +147,8 @@ def entries(job: Job, reference: Reference) -> list[Candidate]:
         eps = reference.error(next(e for e in rows if (e.predictor, e.nx) == (name, nx))).sup
         rows += rivals(methods, reference, eps, name)
     coarse_grids = [(k + 1, rival) for k in FRONT for rival in methods]
-    return rows + [
-        Candidate(rival, "compiled", nx, 1, methods[rival](job.plant, nx), "front") for nx, rival in coarse_grids
-    ]
+    coarse = ((nx, rival, methods[rival](job.plant, nx)) for nx, rival in coarse_grids)
+    return rows + [Candidate(rival, "compiled", nx, 1, run, "front") for nx, rival, run in coarse]
 
 
 def _network(job: Job, name: str) -> TrainedOperator:
@@ -171,9 +165,7 @@ def rivals(methods: dict[str, Method], reference: Reference, eps: float, name: s
 
 
 def one_step_methods(config: Pipeline, plant: Plant) -> dict[str, Method]:
-    """The methods of a step per interval that serve the plant, by their rows' names: those that have a name,
-    and those that the pipeline takes.
-    """
+    """The pipeline's methods of a step per interval that serve the plant, by their rows' names."""
     kinds = {short_name(spec): method(spec) for spec in config.methods}
     refusal = problem_of(plant).refusal
     return {n: kind for n, kind in kinds.items() if issubclass(kind, OneStep | Rollout) and not refusal(kind.name)}

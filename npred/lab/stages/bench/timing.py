@@ -42,9 +42,7 @@ def sample(
 
 
 def affordable(call: Call, count: int, seconds: float) -> int:
-    """The number of calls, at most `count`, that fit into `seconds` if each takes as long as the quickest of the
-    warm-up.
-    """
+    """The number of calls, at most `count`, that fit into `seconds` if each takes as long as the quickest warm-up."""
     quickest = max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
     return int(min(count, max(LEAST, seconds / quickest)))
 

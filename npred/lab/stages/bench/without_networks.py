@@ -69,14 +69,12 @@ def _samples(pipeline: Pipeline, plant: Plant) -> Dataset:
 def sentence(crossovers: list[Crossover]) -> str:
     """Whether a network could pay, in words; the errors are in the order of RELATIVE."""
     faster = [c for c in crossovers if c.network_speedup > 1]
-    bests = ", ".join(
-        f"{bench.method_on(c.best, c.best_steps)} {c.best_us:.1f} µs at ε = {short(c.eps_sup)}" for c in crossovers
-    )
+    of_each = ((bench.method_on(c.best, c.best_steps), c.best_us, short(c.eps_sup)) for c in crossovers)
+    bests = ", ".join(f"{method} {us:.1f} µs at ε = {eps}" for method, us, eps in of_each)
     times = f"the network takes {crossovers[-1].network_us:.1f} µs, {bests}"
     least = " or ".join(f"{c.pays_from_ns:.0f} ns (for {100 * c.eps_relative:.2g} % error)" for c in crossovers)
-    pays = (
-        f"A network pays where an evaluation of f takes at least {least}; here it takes {crossovers[-1].f_ns:.0f} ns."
-    )
+    here = f"here it takes {crossovers[-1].f_ns:.0f} ns"
+    pays = f"A network pays where an evaluation of f takes at least {least}; {here}."
     if not faster:
         return f"No network pays for {crossovers[0].plant}: {times}. {pays}"
     which = ""

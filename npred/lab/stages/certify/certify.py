@@ -10,7 +10,7 @@ from npred.guard.guarded import Guarded
 from npred.lab.config import GuardTable
 from npred.lab.config.conditions import EVERY, Condition
 from npred.lab.config.results import Certified, PredictorId
-from npred.lab.config.results.certify import Certificate
+from npred.lab.config.results.evaluate import Certificate
 from npred.lab.report import figures
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.certify import rollouts

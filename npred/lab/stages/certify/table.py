@@ -8,9 +8,7 @@ from npred.lab.config.section import Count, Section
 
 
 class Certify(Section):
-    """The tests of `npred certify`. With `confidence`, at most a share `probability` of all rollouts has a larger
-    error than the largest of its rollouts.
-    """
+    """Tests of `npred certify`: with `confidence`, at most the share `probability` of all rollouts errs by more."""
 
     probability: Annotated[float, Field(gt=0, lt=1, strict=True)] = 1e-3  #: share of rollouts with a larger error
     confidence: Annotated[float, Field(gt=0, lt=1, strict=True)] = 0.999  #: confidence of that statement

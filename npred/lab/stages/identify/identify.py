@@ -9,12 +9,13 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred.identification.identified import RIVALS, Identified
 from npred.identification.identify import Reading, Settings, of_log, recorded
+from npred.lab.config import dumps
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.report.figures import identified as drawings
 from npred.lab.report.figures.figure import Figure, write
 from npred.lab.report.figures.table import Column, Table
 from npred.lab.scheduler.job import Job
-from npred.lab.stages.report import html_page, toml_text
+from npred.lab.stages.report import html_page
 
 PAGE = "page.html"
 LAGS = 40
@@ -25,9 +26,8 @@ def run(job: Job) -> IdentifiedResult:
     """Write page.html, its figures, and identified.h5 with their arrays."""
     table, plant = job.config.optional("identify"), job.plant
     if not table.files:
-        raise ConfigError(
-            "identify: expected a recording, got none; name one by data in [identify], or npred identify LOG"
-        )
+        cure = "name one by data in [identify], or npred identify LOG"
+        raise ConfigError(f"identify: expected a recording, got none; {cure}")
     keys = dict(table)  # npred.identify takes the same names
     reading = {key: keys[key] for key in keys.keys() & Reading.__annotations__}
     log, notes = recorded(plant, table.files[0] if len(table.files) == 1 else table.files, **reading)
@@ -65,7 +65,6 @@ def run(job: Job) -> IdentifiedResult:
 
 
 def summary(result: IdentifiedResult, width: int | None = None) -> str:
-    """The answer in sentences."""
     return "\n".join(result.sentences)
 
 
@@ -126,7 +125,7 @@ def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
         figures=figures,
         tables=[table for table in tables if table.rows],
         facts={"Recording": {"files": files, "samples": str(result.samples)}},
-        settings=toml_text.dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
+        settings=dumps({"plant": job.config.with_file_names().plant, "identify": table.with_file_names()}),
     )
 
 

@@ -20,6 +20,7 @@ from npred.lab.config.results import IdentifiedResult
 from npred.lab.config.section import map_paths
 from npred.lab.scheduler import pipeline_fit
 from npred.plants import Plant
+from npred.plants.speed import rates
 from npred.prediction.delays import problem_of
 
 STEPS = 40  # control steps in a delay that is not 0, or in a period: a controller is not that much faster than sensors
@@ -49,7 +50,7 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     longest = int(delays.argmax())
     observed = problem_of(plant).refusal("observer") is None
 
-    fast, slow = _rates(plant)
+    fast, _, slow = rates(plant) if plant.rests or plant.tracks else (0.0, 0.0, 0.0)
     certain = result.identifiable[longest]
     none = delays[longest] <= 0 or (certain and ends[longest, 0] <= 0)  # no delay at all fits as well
     period = float(f"{result.period:.3g}")
@@ -110,25 +111,12 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     tables = {"name": asked.name, **here, "parameters": values, "generate": generate, "evaluate": evaluate}
     if differ and plant.traced:
         tables["delays"] = [_short(max(d, dt)) for d in delays]
-    pipeline = config.parse(
-        {key: value for key, value in (tables | {"plant": asked.plant}).items() if value}, str(path)
-    )
+    kept = {key: value for key, value in (tables | {"plant": asked.plant}).items() if value}
+    pipeline = config.parse(kept, str(path))
     for answer in pipeline_fit.check(plants.resolve(*pipeline.of_plant), pipeline):
         if answer.verdict == "no":
             raise ConfigError(f"npred plants check would say no for {answer.check}: {answer.text}")
     return tables, remarks
-
-
-def _rates(plant: Plant) -> tuple[float, float]:
-    """The fastest rate of the plant and of its loop without delay, and that loop's slowest; 0 without a rest."""
-    if not (plant.rests or plant.tracks):
-        return 0.0, 0.0
-    closed, _ = plant.linearised()
-    opened, _ = plant.jacobians(plant.target(0.0), plant.u_target(0.0))
-    if not np.isfinite([closed, opened]).all():
-        return 0.0, 0.0
-    rates = np.linalg.eigvals([closed, opened])
-    return float(np.abs(rates).max()), float(-rates[0].real.max())
 
 
 def _short(number: float) -> float:

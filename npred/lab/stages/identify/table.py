@@ -29,7 +29,6 @@ class Identify(Section):
 
     @property
     def files(self) -> list[Path]:
-        """The recordings."""
         return [Path(name) for name in ([self.data] if isinstance(self.data, str) else self.data) if name]
 
     def with_file_names(self) -> dict[str, Any]:

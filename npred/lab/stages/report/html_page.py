@@ -14,9 +14,8 @@ def filled(template: str, **values: Any) -> str:
     from markupsafe import Markup
 
     loader = PackageLoader("npred.lab.report")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
     environment.filters["typeset"] = lambda text: Markup(markup(text))  # markup escapes
     environment.globals["drawn"] = lambda panel, name: Markup(inline(panel, name))
     page = environment.from_string(template)

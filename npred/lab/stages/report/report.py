@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from npred.base import json_files
-from npred.lab.config import FROZEN, Evaluate, Pipeline
+from npred.lab.config import FROZEN, Evaluate, Pipeline, dumps
 from npred.lab.config.results import (
     NO_ADAPTATION,
     NUMERICAL,
@@ -29,7 +29,7 @@ from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Table
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.bench import bench
-from npred.lab.stages.report import html_page, tables, toml_text
+from npred.lab.stages.report import html_page, tables
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.plants.notation import symbol
@@ -143,7 +143,7 @@ def run(job: Job) -> Reported:
         folded=FOLDED,
         facts=facts,
         files=config.files,
-        settings=toml_text.dumps(config.with_file_names().model_dump()),
+        settings=dumps(config.with_file_names().model_dump()),
     )
     (job.folder / NAME).write_text(page, encoding="utf-8")
     return Reported(summary=[caution, *text] if caution else text, bytes=len(page.encode()))

@@ -83,9 +83,8 @@ class Dataset:
                 value = getattr(self, expected.partition(":")[0])[row][bad[row]].flat[0]
                 raise ConfigError(f"{expected}, got {value:g} in row {row}; leave that row out")
         if not 0 < np.count_nonzero(self.test) < rows:
-            raise ConfigError(
-                f"test: expected rows of both kinds, got {np.count_nonzero(self.test)} of {rows} held out"
-            )
+            got = f"{np.count_nonzero(self.test)} of {rows}"
+            raise ConfigError(f"test: expected rows of both kinds, got {got} held out")
 
 
 def attributes(plant: Plant, predictor: str) -> dict[str, Any]:

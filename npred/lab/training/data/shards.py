@@ -20,7 +20,6 @@ SURVEY = 2**28  # bytes of rows that stand for all of them
 
 
 def name(number: int) -> str:
-    """The file of a shard."""
     return f"data-{number:05d}.h5"
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from npred.lab import config
-from npred.lab.stages.report import toml_text
+from npred.lab.config import dumps
 
 LEAVES = st.one_of(
     st.booleans(), st.integers(-(2**60), 2**60), st.floats(allow_nan=False), st.text('aé"\\ \n#', max_size=5)
@@ -20,20 +20,20 @@ TABLES = st.dictionaries(KEYS, st.one_of(LEAVES, FLAT, st.dictionaries(KEYS, FLA
 
 @given(TABLES)
 def test_what_is_written_reads_back(table):
-    assert tomllib.loads(toml_text.dumps(table)) == table
+    assert tomllib.loads(dumps(table)) == table
 
 
 def test_tables_of_a_list_are_written_in_a_line():
     table = {"a": [{"b": 1.5, "c d": {"e": "f"}, "g": None}, {}]}
-    assert toml_text.dumps(table) == 'a = [{ b = 1.5, "c d" = { e = "f" } }, {  }]\n'
-    assert tomllib.loads(toml_text.dumps(table)) == {"a": [{"b": 1.5, "c d": {"e": "f"}}, {}]}
+    assert dumps(table) == 'a = [{ b = 1.5, "c d" = { e = "f" } }, {  }]\n'
+    assert tomllib.loads(dumps(table)) == {"a": [{"b": 1.5, "c d": {"e": "f"}}, {}]}
 
 
 def test_what_has_no_value_is_left_out():
-    assert toml_text.dumps({"a": None, "b": {"c": None, "d": (1, [2.5, float("inf")])}}) == "[b]\nd = [1, [2.5, inf]]\n"
+    assert dumps({"a": None, "b": {"c": None, "d": (1, [2.5, float("inf")])}}) == "[b]\nd = [1, [2.5, inf]]\n"
 
 
 @pytest.mark.parametrize("path", sorted(Path("pipeline").glob("*.toml")), ids=lambda path: path.stem)
 def test_a_resolved_pipeline_reads_back(path):
     made = config.load(path)
-    assert config.parse(tomllib.loads(toml_text.dumps(made.model_dump())), "text") == made
+    assert config.parse(tomllib.loads(dumps(made.model_dump())), "text") == made
