@@ -6,8 +6,9 @@ A worktree of the commit BASE is made beside this one, and each compiles into a 
 own benchmarks/driver.py, which knows its names; a base without one by its own paired.py, which had the operations, and
 without either by the driver of this tree. Operations are the same where they have the same name. Per round both trees
 run each operation in turn, in an order that alternates; a row is the median time of each, the median of the ratios of
-the rounds, and the range of their middle half. A ratio above 1.05 is marked. An operation that a tree lacks prints "–",
-and stderr says why. Those that take a process (a cold start) run in few rounds. Run it alone on the machine.
+the rounds, and the range of their middle half. A ratio above 1.05 whose middle half is above 1 is marked. An operation
+that a tree lacks prints "–", and stderr says why. Those that take a process (a cold start) run in few rounds. Run it
+alone on the machine.
 """
 
 import json
@@ -62,7 +63,7 @@ def rows(trees: list[Tree], rounds: int, only: str) -> Iterator[tuple[str, ...]]
         base, here = harness.in_turn(takers, FEW if max(first) > LONG else rounds)
         ratio, (low, high) = np.median(here / base), np.quantile(here / base, (0.25, 0.75))
         times = [f"{1e6 * np.median(times):.2f}" for times in (base, here)]
-        yield name, *times, f"{ratio:.2f}", f"{low:.2f} to {high:.2f}", "slower" if ratio > SLOWER else ""
+        yield name, *times, f"{ratio:.2f}", f"{low:.2f} to {high:.2f}", "slower" if ratio > SLOWER and low > 1 else ""
 
 
 if __name__ == "__main__":
