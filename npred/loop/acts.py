@@ -111,10 +111,10 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
 }  # fmt: skip
 
 
-def refuse(of: Any, given: Collection[str], whole: bool = True) -> None:
+def refuse(of: Any, names: Collection[str], whole: bool = True) -> None:
     """Raise ConfigError where one of the parts that are given cannot act in a loop, or in a pipeline's table of one."""
     for name, needs in NEEDS.items():
-        for need in needs if name in given else ():
+        for need in needs if name in names else ():
             if (whole or not need.whole) and not need.has(of):
                 cure = f"{need.cure}, or no {name}" if need.cure else f"leave {name} out"
                 raise ConfigError(f"{name}: expected {need.words}, got {need.came(of)}; {cure}")
