@@ -5,7 +5,10 @@ A part that is given where it cannot act is refused, whichever way the loop is m
 
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
@@ -81,8 +84,19 @@ LATE = Need(
     lambda of: "those of each control step, at once", "give the measurement a period or a delay",
 )  # fmt: skip
 KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
-DELAYED = Need(lambda of: of.alone or of.delayed, "a delay", lambda of: "D = 0", "give D above 0", whole=True)
+DELAYED = Need(
+    lambda of: of.alone or of.plant.declares_delay or callable(of.D) or np.any(of.D)
+    or (of.actuator == HISTORY and np.any(of.D_hat)), "a delay", lambda of: "D = 0", "give D above 0", whole=True,
+)  # fmt: skip
 FILTERED = COMMANDS._replace(has=lambda of: of.actuator == HISTORY or not (of.alone or of.safety.delay))
+LIMITED = Need(
+    lambda of: of.plant.declares_safe, "a plant with safe(x, t, p, M), which is at least 0 where it is safe",
+    lambda of: f"{of.plant.name} without", "write it", whole=True,
+)  # fmt: skip
+FORESEEN = Need(
+    lambda of: of.safety.serves(of.plant), "a traced plant with one constant delay", lambda of: of.plant.name,
+    "enforce its limits in kappa", whole=True,
+)  # fmt: skip
 COMPILED = Need(
     lambda of: of.measurement.observer is None or not of.on_a_clock, "no observer in Python on a clock",
     lambda of: "one", "give the loop an observer of npred.observers", whole=True,
@@ -97,7 +111,7 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
     "u0": (KEPT, DELAYED),
     "observer": (FEEDBACK, SERVED, COMMANDS),
     "watchdog": (FEEDBACK, SERVED, COMMANDS),
-    "safety": (FEEDBACK, FILTERED),
+    "safety": (FEEDBACK, FILTERED, LIMITED, FORESEEN),
     "outlier_limit": (FEEDBACK, COMMANDS, CLOCK),
     "max_sample_age": (FEEDBACK, COMMANDS, CLOCK, LATE),
     "history_length": (ALONE, KEPT),
@@ -140,10 +154,14 @@ def check(loop: "Loop") -> None:
     if loop.actuator not in (MEASURED, HISTORY):
         raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
     refuse(loop, loop.given)
-    for name, part in loop.parts:
-        plant.own(name, part)
-    for part in filter(None, (loop.adaptation, loop.safety)):
-        part.check(plant)
+    for name, part in vars(loop).items():  # and what it is made of: the law of a watchdog, say
+        inner = vars(part).items() if is_dataclass(part) else ()
+        for label, each in ((name, part), *((f"{name}: {key}", value) for key, value in inner)):
+            plant.own(label, each)
+    if loop.adaptation is not None:
+        loop.adaptation.check(plant)
+    if loop.safety is not None:
+        loop.safety.kernel(plant)
     inputs.bounds(plant, loop.input_bounds)
     loop.measurement.check(plant, loop.observer and len(loop.observer.outputs))
     if truth is not None and (truth.n, truth.m) != (plant.n, plant.m):

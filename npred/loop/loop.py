@@ -1,8 +1,8 @@
 """One description of a loop: for simulation, for a controller, and for a pipeline's tables."""
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any, Literal, Self, TypedDict
 
 import numpy as np
@@ -107,12 +107,6 @@ class Loop:
         return self.reads_commands or not (self.adaptation is None or self.adaptation.integrates)
 
     @property
-    def delayed(self) -> bool:
-        """True if a command of t < 0 is read."""
-        declared = self.plant.declares_delay or callable(self.D)
-        return declared or bool(np.any(self.D) or (self.reads_commands and np.any(self.D_hat)))
-
-    @property
     def real(self) -> Plant:
         """The plant that is simulated."""
         return self.truth or self.plant
@@ -126,14 +120,6 @@ class Loop:
     def reads_commands(self) -> bool:
         """True if the controller reads the actuator state from its own commands."""
         return self.actuator == acts.HISTORY
-
-    @property
-    def parts(self) -> Iterator[tuple[str, Any]]:
-        """Its parts, and what they are made of, by name: the law of a watchdog, say."""
-        for name, part in vars(self).items():
-            yield name, part
-            if is_dataclass(part):
-                yield from ((f"{name}: {inner}", value) for inner, value in vars(part).items())
 
     @property
     def on_a_clock(self) -> bool:

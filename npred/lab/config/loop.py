@@ -35,7 +35,7 @@ Limits = Annotated[SafetyFilter, built(SafetyFilter)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 
 
-class StateObserver(Section):
+class ObserverTable(Section):
     """An observer that estimates the state from the plant's outputs."""
 
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
@@ -86,7 +86,7 @@ class LoopTable(Section):
     input_bounds: list[Bounds] | None = None
     u0: StartInput | None = None
     actuator: Actuator = "measured"
-    observer: StateObserver | None = None
+    observer: ObserverTable | None = None
     watchdog: Annotated[Watchdog, built(Watchdog)] | None = None
     safety: Limits | None = None
     outlier_limit: Positive = 1.0

@@ -47,20 +47,6 @@ class SafetyFilter:
         """True for a traced plant with one constant delay."""
         return plant.traced and plant.one_delay and not plant.declares_delay
 
-    def check(self, plant: "Plant") -> None:
-        """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
-        if not plant.declares_safe:
-            raise ConfigError(
-                f"safety: expected a plant with safe(x, t, p, M), which is at least 0 where it is safe, "
-                f"plant {plant.name} has none; write it"
-            )
-        if not self.serves(plant):
-            raise ConfigError(
-                f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
-                "enforce its limits in kappa"
-            )
-        self.kernel(plant)
-
     def settings(self, plant: "Plant", dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
         """The settings of a loop with it."""
         from npred.loop.safety.filter import numbers
