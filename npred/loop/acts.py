@@ -20,7 +20,8 @@ from npred.loop.timing import Timing
 from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.prediction.methods import Predictor
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import OneStep, Predictor, method
 
 if TYPE_CHECKING:
     from npred.loop.loop import Loop
@@ -169,3 +170,14 @@ def check(loop: "Loop") -> None:
         raise ConfigError(f"truth: {what}, got {truth!r}; give one")
     if truth is not None and truth.declares_delay != plant.declares_delay:
         raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
+    integrator(loop.integrator, plant, loop.real)
+
+
+def integrator(name: Any, *plants: Plant) -> type[OneStep]:
+    """The one-step method of that name, or of a file. Raises ConfigError for any other, or where a plant lacks it."""
+    kind = method(name, "integrator") if isinstance(name, str) else None
+    if kind is None or not issubclass(kind, OneStep):
+        raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
+    for plant in plants:
+        problem_of(plant).needs(kind.name)
+    return kind

@@ -12,7 +12,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.progress import announce, counted, quiet, say
 from npred.estimation.delay_law import Adaptation, DelayLaw
-from npred.loop import clocked, engine, loop_checks, settable, trajectory_views
+from npred.loop import acts, clocked, engine, loop_checks, settable, trajectory_views
 from npred.loop.loop import Loop, LoopParts
 from npred.loop.simulation import Simulation
 from npred.loop.trajectories import Samples, Trajectories, of_record
@@ -135,7 +135,7 @@ def run(
         delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
     loop_checks.record(plant, len(D), t_end, dt, every)
     steps = loop_checks.samples(samples, shape, round(t_end / dt))
-    method, limits = loop_checks.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
+    method, limits = acts.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
     complete = loop.filled(D=D, D_hat=D_hat, X0=X0, adaptation=law, input_bounds=limits)
     one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, loop.blind, past, steps, delays)
