@@ -67,7 +67,8 @@ def simulate(
         with a delay of 1 it is 0.01 for `scalar`, 0.005 for the paper's plant, and for `scalar` with a law that
         integrates a rate of D_hat, as DelayAdaptation.
     adaptation : DelayLaw, its name as "delay-observer", or None, optional
-        Law of the estimate D_hat; None or "frozen" freezes it.
+        Law of the estimate D_hat; None or "frozen" freezes it, as for a plant that declares its delay and without a
+        predictor.
     every : int, default 1
         Control steps between two kept states.
     samples : int array (..., S), optional
@@ -77,7 +78,7 @@ def simulate(
         line on stderr says so if loops take longer than a second.
     **parts
         The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, setpoints,
-        safety, integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
+        safety, integrator, timing, observer, watchdog, outlier_limit, max_sample_age. What it needs is said there.
 
     Returns
     -------
@@ -87,7 +88,7 @@ def simulate(
     Raises
     ------
     ConfigError
-        For delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
+        For parts that do not fit, or that are unknown, or without what they need.
     """
     named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
     loop = Loop.of("simulate", (), named | {"adaptation": adaptation, **parts})
