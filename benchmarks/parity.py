@@ -104,6 +104,13 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
     if rng.random() < 0.3:
         jitter, lost = float(rng.choice([0.0, 0.3])), float(rng.choice([0.0, 0.1]))
         loop["timing"] = npred.Timing(jitter=jitter, lost=lost, overrun=lost / 2, tells=True)
+    sensors, clock = loop.get("measurement"), history and {"timing", "observer", "watchdog"} & loop.keys()
+    for name, acts in (
+        ("outlier_limit", clock),
+        ("max_sample_age", clock and sensors and (sensors.period or sensors.delay)),
+    ):
+        if not acts:
+            loop.pop(name, None)
     return loop
 
 

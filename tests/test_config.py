@@ -292,8 +292,8 @@ measurement = { noise = 0.1, bias = [-0.2], resolution = [0.5] }
 name = "drift"
 drift = { amplitude = 0.3, period = 60.0 }
 adaptation = "law.py:Law"
-D_hat = [0.5]
-t_end = 20.0
+case_D_hat = [0.5]
+case_t_end = 20.0
 """
 
 
@@ -330,12 +330,12 @@ def test_a_dump_holds_all_keys_and_reads_back(empty: Path):
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1}}]', ["drift.period: expected a value, got none"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=1.5, period=9.0}}]', ["at least 0, got -0.5; shrink it"]),
         ('evaluate.scenarios=[{name="a", jump={to=9.0, at=1.0}}]', ["scenarios[0]: delay: expected within bounds"]),
-        ('evaluate.scenarios=[{name="a", t_end=1e-3}]', ["scenarios[0]: dt: expected at most t_end = 0.001"]),
-        ('evaluate.scenarios=[{name="a", t_end=1e9}]', ["scenarios[0]: t_end: expected at most 1000000000 steps"]),
+        ('evaluate.scenarios=[{name="a", case_t_end=1e-3}]', ["scenarios[0]: dt: expected at most case_t_end = 0.001"]),
+        ('evaluate.scenarios=[{name="a", case_t_end=1e9}]', ["scenarios[0]: case_t_end: expected at most 10"]),
         ("evaluate.case_t_end=1e9", ["case_t_end: expected at most 1000000000 steps", "shorten case_t_end"]),
         ("evaluate.measurement.jitter=0.1", ["measurement: expected a period that jitter spreads, got none; give"]),
         ('evaluate.scenarios=[{name="a", measurement={jitter=0.1}}]', ["measurement: expected a period"]),
-        ('evaluate.scenarios=[{name="a", D_hat=[9.0]}]', ["scenarios[0].D_hat: expected within bounds"]),
+        ('evaluate.scenarios=[{name="a", case_D_hat=[9.0]}]', ["scenarios[0].case_D_hat: expected within bounds"]),
         ('evaluate.scenarios=[{name="a", drift={amplitude=0.1, period=9.0}, jump={to=1.1, at=1.0}}]',
          ["drift, jump: expected one of them, got both"]),
         ('evaluate.scenarios=[{name="a", adaptation="observer"}]', ["scenarios[0].adaptation: expected bresch"]),

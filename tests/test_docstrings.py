@@ -14,7 +14,7 @@ from npred.loop.controller import Controller
 LAWS = [getattr(npred.laws, name) for name in npred.laws.__all__]
 OBSERVERS = [npred.observers.EKF, npred.observers.Luenberger]
 PUBLIC = [*(getattr(npred, name) for name in npred.__all__), *LAWS, *OBSERVERS, Controller.step]
-FIELDS = (npred.Loop, npred.Measurement, npred.Timing, npred.SafetyFilter)  # their fields have comments
+FIELDS = (npred.Loop, npred.Measurement, npred.Timing, npred.SafetyFilter, npred.Watchdog)  # their fields have comments
 HEAD = re.compile(r"^(\w+)\n-+\n", re.MULTILINE)
 ROW = re.compile(r"^(\S.*)\n    \S", re.MULTILINE)
 
@@ -30,10 +30,10 @@ def parameters(thing: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("thing", [t for t in PUBLIC if t in FIELDS], ids=lambda thing: thing.__qualname__)
-def test_each_field_has_its_meaning_behind_it(thing):
-    lines = [line for kind in thing.__mro__[:-1] for line in inspect.getsource(kind).splitlines()]
+def test_each_field_has_its_meaning_before_or_behind_it(thing):
+    text = "\n".join(inspect.getsource(kind) for kind in thing.__mro__[:-1])
     for name in parameters(thing):
-        assert any(re.match(rf"    {name}: .*#: \S", line) for line in lines), name
+        assert re.search(rf"^    {name}: .*#: \S|^    #: \S.*\n    {name}: ", text, re.MULTILINE), name
 
 
 @pytest.mark.parametrize("thing", [t for t in PUBLIC if t not in FIELDS], ids=lambda thing: thing.__qualname__)

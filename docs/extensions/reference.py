@@ -4,7 +4,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
@@ -20,6 +20,7 @@ from npred.cli.options import Common, Planned, Work
 from npred.lab import config
 from npred.lab.config.results import Result
 from npred.lab.config.section import MOST
+from npred.loop.loop import Loop
 
 logger = logging.getLogger(__name__)
 
@@ -224,10 +225,16 @@ def _table(heading: str, path: str, model: type, described: set[type]) -> Iterat
         yield from _table("`[train.NAME]`", "train.NAME", config.Network, described)
 
 
+def _field(kind: Any, default: Any) -> FieldInfo:
+    if default is MISSING:
+        return FieldInfo.from_annotation(kind)
+    return FieldInfo.from_annotated_attribute(kind, default)
+
+
 def _keys(model: type) -> dict[str, FieldInfo]:
     """The fields of a model or a dataclass by name."""
     if is_dataclass(model):
-        return {field.name: FieldInfo.from_annotated_attribute(field.type, field.default) for field in fields(model)}
+        return {field.name: _field(field.type, field.default) for field in fields(model)}
     return model.model_fields
 
 
@@ -235,11 +242,12 @@ def _meaning(model: type, name: str) -> str:
     """The comment behind #: at a field, in the class that declares it, or the description that the field has."""
     if description := _keys(model)[name].description:
         return description
-    owner = _owner(model, name)
-    comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
-    meaning = " ".join(comments.get((owner.__name__, name), [])).strip()
+    meaning = ""
+    for owner in (_owner(model, name), Loop):  # a key of a loop that says nothing itself is that of npred.Loop
+        comments = ModuleAnalyzer.for_module(owner.__module__).find_attr_docs()
+        meaning = meaning or " ".join(comments.get((owner.__name__, name), [])).strip()
     if not meaning:
-        logger.warning("%s: %s.%s has no meaning; write it behind #: in its line", owner.__module__, model, name)
+        logger.warning("%s.%s has no meaning; write it behind #: in its line", model, name)
     return meaning
 
 

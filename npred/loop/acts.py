@@ -5,7 +5,10 @@ A part that is given where it cannot act is refused, whichever way the loop is m
 
 import math
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError, unlisted
@@ -17,7 +20,8 @@ from npred.loop.timing import Timing
 from npred.loop.watchdog import Watchdog
 from npred.plants import inputs
 from npred.plants.base import Plant
-from npred.prediction.methods import Predictor
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import OneStep, Predictor, method
 
 if TYPE_CHECKING:
     from npred.loop.loop import Loop
@@ -79,8 +83,19 @@ LATE = Need(
     lambda of: "those of each control step, at once", "give the measurement a period or a delay",
 )  # fmt: skip
 KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
-DELAYED = Need(lambda of: of.alone or of.delayed, "a delay", lambda of: "D = 0", "give D above 0", whole=True)
+DELAYED = Need(
+    lambda of: of.alone or of.plant.declares_delay or callable(of.D) or np.any(of.D)
+    or (of.actuator == HISTORY and np.any(of.D_hat)), "a delay", lambda of: "D = 0", "give D above 0", whole=True,
+)  # fmt: skip
 FILTERED = COMMANDS._replace(has=lambda of: of.actuator == HISTORY or not (of.alone or of.safety.delay))
+LIMITED = Need(
+    lambda of: of.plant.declares_safe, "a plant with safe(x, t, p, M), which is at least 0 where it is safe",
+    lambda of: f"{of.plant.name} without", "write it", whole=True,
+)  # fmt: skip
+FORESEEN = Need(
+    lambda of: of.safety.serves(of.plant), "a traced plant with one constant delay", lambda of: of.plant.name,
+    "enforce its limits in kappa", whole=True,
+)  # fmt: skip
 COMPILED = Need(
     lambda of: of.measurement.observer is None or not of.on_a_clock, "no observer in Python on a clock",
     lambda of: "one", "give the loop an observer of npred.observers", whole=True,
@@ -95,7 +110,7 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
     "u0": (KEPT, DELAYED),
     "observer": (FEEDBACK, SERVED, COMMANDS),
     "watchdog": (FEEDBACK, SERVED, COMMANDS),
-    "safety": (FEEDBACK, FILTERED),
+    "safety": (FEEDBACK, FILTERED, LIMITED, FORESEEN),
     "outlier_limit": (FEEDBACK, COMMANDS),
     "max_sample_age": (FEEDBACK, COMMANDS, LATE, CLOCK),
     "history_length": (ALONE, KEPT),
@@ -109,10 +124,10 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
 }  # fmt: skip
 
 
-def refuse(of: Any, given: Collection[str], whole: bool = True) -> None:
+def refuse(of: Any, names: Collection[str], whole: bool = True) -> None:
     """Raise ConfigError where one of the parts that are given cannot act in a loop, or in a pipeline's table of one."""
     for name, needs in NEEDS.items():
-        for need in needs if name in given else ():
+        for need in needs if name in names else ():
             if (whole or not need.whole) and not need.has(of):
                 cure = f"{need.cure}, or no {name}" if need.cure else f"leave {name} out"
                 raise ConfigError(f"{name}: expected {need.words}, got {need.came(of)}; {cure}")
@@ -138,10 +153,14 @@ def check(loop: "Loop") -> None:
     if loop.actuator not in (MEASURED, HISTORY):
         raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
     refuse(loop, loop.given)
-    for name, part in loop.parts:
-        plant.own(name, part)
-    for part in filter(None, (loop.adaptation, loop.safety)):
-        part.check(plant)
+    for name, part in vars(loop).items():  # and what it is made of: the law of a watchdog, say
+        inner = vars(part).items() if is_dataclass(part) else ()
+        for label, each in ((name, part), *((f"{name}: {key}", value) for key, value in inner)):
+            plant.own(label, each)
+    if loop.adaptation is not None:
+        loop.adaptation.check(plant)
+    if loop.safety is not None:
+        loop.safety.kernels(plant)
     inputs.bounds(plant, loop.input_bounds)
     loop.measurement.check(plant, loop.observer and len(loop.observer.outputs))
     if truth is not None and (truth.n, truth.m) != (plant.n, plant.m):
@@ -149,3 +168,14 @@ def check(loop: "Loop") -> None:
         raise ConfigError(f"truth: {what}, got {truth!r}; give one")
     if truth is not None and truth.declares_delay != plant.declares_delay:
         raise ConfigError("truth: expected a delay that both plants declare, or none, got that of one; declare both")
+    integrator(loop.integrator, plant, loop.real)
+
+
+def integrator(name: Any, *plants: Plant) -> type[OneStep]:
+    """The one-step method of that name, or of a file. Raises ConfigError for any other, or where a plant lacks it."""
+    kind = method(name, "integrator") if isinstance(name, str) else None
+    if kind is None or not issubclass(kind, OneStep):
+        raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
+    for plant in plants:
+        problem_of(plant).needs(kind.name)
+    return kind

@@ -12,7 +12,7 @@ from npred.base import array_checks
 from npred.base.errors import ConfigError
 from npred.base.progress import announce, counted, quiet, say
 from npred.estimation.delay_law import Adaptation, DelayLaw
-from npred.loop import clocked, engine, loop_checks, settable, trajectory_views
+from npred.loop import acts, clocked, engine, loop_checks, settable, trajectory_views
 from npred.loop.loop import Loop, LoopParts
 from npred.loop.simulation import Simulation
 from npred.loop.trajectories import Samples, Trajectories, of_record
@@ -67,7 +67,8 @@ def simulate(
         with a delay of 1 it is 0.01 for `scalar`, 0.005 for the paper's plant, and for `scalar` with a law that
         integrates a rate of D_hat, as DelayAdaptation.
     adaptation : DelayLaw, its name as "delay-observer", or None, optional
-        Law of the estimate D_hat; None or "frozen" freezes it.
+        Law of the estimate D_hat; None or "frozen" freezes it, as for a plant that declares its delay and without a
+        predictor.
     every : int, default 1
         Control steps between two kept states.
     samples : int array (..., S), optional
@@ -77,7 +78,7 @@ def simulate(
         line on stderr says so if loops take longer than a second.
     **parts
         The other parts of npred.Loop: input_bounds, u0, actuator, measurement, truth, disturbance, setpoints,
-        safety, integrator, timing, observer, watchdog, outlier_limit, max_sample_age.
+        safety, integrator, timing, observer, watchdog, outlier_limit, max_sample_age. What it needs is said there.
 
     Returns
     -------
@@ -87,7 +88,7 @@ def simulate(
     Raises
     ------
     ConfigError
-        For delays, bounds, times, shapes or a predictor that do not fit, and for an unknown part.
+        For parts that do not fit, or that are unknown, or without what they need.
     """
     named = {"plant": plant, "predictor": predictor, "D": D, "D_hat": D_hat, "X0": X0, "dt": dt}
     loop = Loop.of("simulate", (), named | {"adaptation": adaptation, **parts})
@@ -135,7 +136,7 @@ def run(
         delays = np.broadcast_to(padded, (len(table), *shape)).reshape(-1, len(D))
     loop_checks.record(plant, len(D), t_end, dt, every)
     steps = loop_checks.samples(samples, shape, round(t_end / dt))
-    method, limits = loop_checks.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
+    method, limits = acts.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
     given = D_hat if loop.blind or not plant.declares_delay else None
     complete = loop.filled(D=D, D_hat=given, X0=X0, adaptation=law, input_bounds=limits)

@@ -45,14 +45,14 @@ def controller(
     predictor : Predictor
         From npred.predictor, npred.load or npred.guarded.
     adaptation : DelayLaw, its name as "delay-observer", or None
-        Law of the estimate D_hat; None or "frozen" freezes it.
+        Law of the estimate D_hat; None or "frozen" freezes it, as for a plant that declares its delay.
     dt : float, in the plant's unit of time
         Control step; U is held over it.
     D_hat : float, in the plant's unit of time, optional
-        First estimate of the delay; by default the middle of the law's bounds.
+        First estimate of the delay; by default the middle of the law's bounds. None for a plant that declares it.
     **parts
         The other parts of npred.Loop that a controller has: input_bounds, u0, actuator (by default "history"),
-        observer, watchdog, safety, outlier_limit, max_sample_age, history_length.
+        observer, watchdog, safety, outlier_limit, max_sample_age, history_length. What it needs is said there.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def controller(
     Raises
     ------
     ConfigError
-        For parts that do not fit together, and for an unknown one.
+        For parts that do not fit, or that are unknown, or without what they need.
     """
     named = {"plant": plant, "predictor": predictor, "adaptation": adaptation, "dt": dt, "D_hat": D_hat}
     return Controller(Loop.of("controller", ("X0",), named | {"actuator": HISTORY} | {**parts}))

@@ -1,8 +1,8 @@
 """One description of a loop: for simulation, for a controller, and for a pipeline's tables."""
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from typing import Any, Literal, Self, TypedDict
 
 import numpy as np
@@ -28,46 +28,50 @@ class Loop:
     """X' = f(X, U(t - D)), U = kappa(P(1)), D_hat' = gamma Proj{D_hat, phi} [DAPF, eqs. 6-14]: all parts of it.
 
     The parts down to `history_length` are the controller's; those that follow are of the simulated plant, its sensors
-    and its clock. Times are in the plant's unit. A part that is given where it cannot act is refused in one line
-    (npred.loop.acts); "feedback" is a loop with a predictor, "on a clock" one with timing, observer, watchdog, or
-    samples that the controller judges.
+    and its clock. Times are in the plant's unit. A part that is given without what it needs has no use, and is refused
+    in one line (npred.loop.acts). A clock is timing, an observer, a watchdog, or samples
+    that a controller with actuator="history" judges.
     """
 
     plant: Plant  #: the controller's model, from npred.plant
     predictor: Predictor | None  #: from npred.predictor, npred.load or npred.guarded; None is the open loop U = 0
     dt: float = None  # type: ignore[assignment]  #: control step; U is held over it; by default it follows D
-    #: law of the estimate D_hat, also by name, as a pipeline; None freezes it. With feedback, if no delay is declared
+    #: law of the estimate D_hat, also by name, as a pipeline; None freezes it. Needs a predictor, and no declared delay
     adaptation: DelayLaw | None = None
-    D_hat: Any = None  #: first estimate of the delay, (...). If none is declared, else 0 in a simulation
-    #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's. With feedback
+    D_hat: Any = None  #: first estimate of the delay, (...). Of a declared delay only 0, in a simulation
+    #: pairs (low, high) to which U is clipped, (m, 2); by default the plant's. Needs a predictor
     input_bounds: Any = None
-    #: inputs before t = 0, by default the rest's: (m,), "equilibrium", "law", rows (k, m), a function. Not where D = 0,
-    #: and of a controller alone only with actuator="history", or a law that reads the commands
+    #: inputs before t = 0, by default the rest's: (m,), "equilibrium", "law", rows (k, m), a function. Needs a delay;
+    #: of a controller alone actuator="history", or a law that reads the commands
     u0: Any = None
-    #: "measured": u is; "history": u is read at D_hat from the controller's commands. With feedback; of a plant that
-    #: declares its delay u is read from the commands in each simulation
+    #: "measured": u is; "history": u is read at D_hat from the controller's commands, as always where a simulated plant
+    #: declares its delay. Needs a predictor
     actuator: Actuator = "measured"
-    #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger. With feedback, actuator="history";
-    #: simulated if no delay is declared
+    #: estimates X from the plant's outputs, which then are sampled: EKF, Luenberger. Needs a predictor,
+    #: actuator="history", and no declared delay in a simulation
     observer: Observer | None = None
-    watchdog: Watchdog | None = None  #: gives U if no sample comes. As observer
-    #: keeps the limits that the plant declares. With feedback; alone, or with a `delay`, with actuator="history"
+    watchdog: Watchdog | None = None  #: gives U if no sample comes. Needs what an observer needs
+    #: keeps the limits that the plant declares. Needs a predictor; alone, or with a `delay`, actuator="history"
     safety: SafetyFilter | None = None
-    #: samples farther from the model than this times half the box are refused; None takes all. With actuator="history"
+    #: samples farther from the model than this times half the box are refused; None takes all. Needs a predictor, and
+    #: actuator="history"
     outlier_limit: float | None = 1.0
-    #: largest age of a sample that is used; by default 100 control steps. With actuator="history"; simulated, if
-    #: measurement has a period or a delay
+    #: largest age of a sample that is used; by default 100 control steps. Needs a predictor, actuator="history", and in
+    #: a simulation a period or a delay of the measurement
     max_sample_age: float | None = None
-    #: how long commands are kept; by default the largest D_hat. Of a controller alone that keeps them, as for u0
+    #: how long commands are kept; by default the largest D_hat. Needs a controller alone, with actuator="history", or a
+    #: law that reads the commands
     history_length: float | None = None
-    D: Any = None  #: true delay, (...) or a function of t; where inputs have several the longest. If none is declared
+    #: true delay, (...) or a function of t; where inputs have several the longest. Needs no declared delay
+    D: Any = None
     X0: Any = None  #: states at t = 0, (..., n); without them a controller alone is described
-    measurement: Measurement = PERFECT  #: what the controller, or its observer in Python, sees of X. With either
+    #: what the controller sees of X. Needs a predictor, or an observer in it, which cannot be beside a clock
+    measurement: Measurement = PERFECT
     truth: Plant | None = None  #: the simulated plant, if it is not the controller's model
     disturbance: Callable[[float], Any] | None = None  #: added to the plant's input, (m,) or (..., m), by the time
-    #: {parameter: (times, values)}, set from the first control step at or after each time on. With feedback
+    #: {parameter: (times, values)}, set from the first control step at or after each time on. Needs a predictor
     setpoints: Any = None
-    #: clock of the calls and commands. With feedback, actuator="history", if no delay is declared
+    #: clock of the calls and commands. Needs a predictor, actuator="history", and no declared delay
     timing: Timing | None = None
     integrator: str = "rk4"  #: the method that advances the plant: "euler", "heun", "rk4", …
 
@@ -104,13 +108,6 @@ class Loop:
         return self.reads_commands or not (self.adaptation is None or self.adaptation.integrates)
 
     @property
-    def delayed(self) -> bool:
-        """True if a command of t < 0 is read."""
-        if self.plant.declares_delay or callable(self.D):
-            return True
-        return bool(np.any(self.D) or (self.reads_commands and np.any(self.D_hat)))
-
-    @property
     def real(self) -> Plant:
         """The plant that is simulated."""
         return self.truth or self.plant
@@ -124,14 +121,6 @@ class Loop:
     def reads_commands(self) -> bool:
         """True if the controller reads the actuator state from its own commands."""
         return self.actuator == acts.HISTORY
-
-    @property
-    def parts(self) -> Iterator[tuple[str, Any]]:
-        """Its parts, and what they are made of, by name: the law of a watchdog, say."""
-        for name, part in vars(self).items():
-            yield name, part
-            if is_dataclass(part):
-                yield from ((f"{name}: {inner}", value) for inner, value in vars(part).items())
 
     @property
     def on_a_clock(self) -> bool:

@@ -12,8 +12,6 @@ from npred.loop import control_step
 from npred.loop.loop import Loop
 from npred.loop.timing import ROUNDING
 from npred.plants.base import Plant
-from npred.prediction.delays import problem_of
-from npred.prediction.methods import OneStep, method
 
 
 def samples(samples: Any, shape: tuple[int, ...], last: int) -> np.ndarray:
@@ -113,13 +111,3 @@ def history(plant: Plant, reach: float, dt: float) -> None:
     """Raise ConfigError for commands of the last `reach` that this machine cannot hold."""
     cure = "shorten D, the bounds of the law or the delay of the measurement, or lengthen dt"
     array_checks.room("D", "the history", 16 * plant.m * reach / dt, cure)
-
-
-def integrator(name: Any, *plants: Plant) -> type[OneStep]:
-    """The one-step method of that name, or of a file. Raises ConfigError for any other, or where a plant lacks it."""
-    kind = method(name, "integrator") if isinstance(name, str) else None
-    if kind is None or not issubclass(kind, OneStep):
-        raise ConfigError(f"integrator: expected a one-step method, as euler, heun or rk4, got {name!r}; choose one")
-    for plant in plants:
-        problem_of(plant).needs(kind.name)
-    return kind

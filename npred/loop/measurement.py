@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # reading a pipeline has no use for what compiles
     from npred.plants.base import Plant
 
 PER_STATE = ("noise", "relative_noise", "bias", "resolution")  # one number, or one for each state
-Observer = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
+Estimate = Callable[[np.ndarray, np.ndarray, np.ndarray, float], Any]
 PerState: TypeAlias = float | Sequence[float]
 
 
@@ -110,7 +110,7 @@ class Measurement(Sensors):
     """
 
     seed: int = 0  #: seed of the noise, of gaps and of lost samples
-    observer: Observer | None = None  #: gives X_hat (B, n), of the last one, the sample Y, NaN without, U and t
+    observer: Estimate | None = None  #: gives X_hat (B, n), of the last one, the sample Y, NaN without, U and t
     first: int = 0  #: number of the batch's first loop in a larger batch: each has the noise that it has there
 
     def __post_init__(self) -> None:
@@ -142,7 +142,7 @@ def settings(measurement: Measurement, dt: float, first: int, n: int) -> dict[st
     }
 
 
-def observed(observer: Observer) -> Callable[..., None]:
+def observed(observer: Estimate) -> Callable[..., None]:
     """problem.ESTIMATE of npred.prediction.delays by a user's observer. Raises ConfigError for another shape."""
     from npred.loop.actuator import acting
 

@@ -21,25 +21,13 @@ class Watchdog:
 
     Until then, and as long as the watchdog gives U, the model predicts the state.
 
-    Parameters
-    ----------
-    after : float, in the plant's unit of time
-        Age of the last used sample from which on it acts.
-    then : "hold", "zero", numbers (m,) or function (x, t, p, M), default "hold"
-        U, the last one, zeros, these numbers, or a law of the predicted state, as kappa is one; a law is compiled
-        and exported too.
-    jump : float or (m,), in the inputs' units, optional
-        How far an input moves in a call while it takes or returns U; by default any.
-
-    Raises
-    ------
-    ConfigError
-        For a time, numbers or a word that make no sense.
+    Raises ConfigError for a time, numbers or a word that make no sense.
     """
 
-    after: float
+    after: float  #: age of the last used sample, in the plant's unit of time, from which on it acts
+    #: "hold", the last U; "zero"; numbers (m,); or a law (x, t, p, M) of the predicted state, compiled and exported too
     then: Any = "hold"
-    jump: Any = None
+    jump: Any = None  #: how far an input moves in a call while it takes or returns U, or (m,); by default any
 
     def __post_init__(self) -> None:
         if not 0 < array_checks.number("watchdog: after", self.after) < math.inf:

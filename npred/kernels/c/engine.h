@@ -34,8 +34,8 @@ static inline void copy_lane(int count, int lanes, int l, const double *from, do
  * are those whose delay is negative, or in one step came to be longer than the history of commands, `longest`. A
  * prediction that ends there has its last finite node as state, with the input there; what it was made from is the last
  * of the samples, and says when that node comes. */
-static inline void watch(Shape d, INDEX k, double t, double longest, int predicts, const Settings *s, State *z,
-                         Record *out)
+static inline void mark_infeasible(Shape d, INDEX k, double t, double longest, int predicts, const Settings *s,
+                                   State *z, Record *out)
 {
     const int lanes = d.lanes, last = d.nx - 1;
     const ptrdiff_t states = (ptrdiff_t)d.n * lanes, inputs = (ptrdiff_t)d.m * lanes;
@@ -223,7 +223,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
         actuate(d, origin + k, s->dt, z->D, z->U, z->held, z->total, z->U0, z->U1, z->share);
         if (s->moves) {
             q->delay_speed(d, z->X, z->U0, t, s->truth_p, z->speed, work);
-            watch(d, k, t, (double)(origin + k) * s->dt, q->predict && q->model_delay, s, z, out);
+            mark_infeasible(d, k, t, (double)(origin + k) * s->dt, q->predict && q->model_delay, s, z, out);
         }
         if (s->moves || s->tabulates) {
             retime(d, origin + k, s->dt, z->D, z->speed, z->held, z->U1, z->share);

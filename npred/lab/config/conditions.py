@@ -13,7 +13,7 @@ from npred.base.errors import ConfigError
 from npred.base.registry import DELAY_LAWS, FROZEN, OBSERVERS
 from npred.estimation import delay_law
 from npred.estimation.delay_law import DelayLaw
-from npred.estimation.observers import Observer as StateObserver
+from npred.estimation.observers import Observer
 from npred.lab.config.evaluate import Evaluate, Scenario
 from npred.lab.config.loop import LoopTable
 from npred.lab.config.pipeline import Generate, Pipeline
@@ -21,7 +21,7 @@ from npred.lab.config.results import PredictorId
 from npred.loop import closed_loop, settable, simulation
 from npred.loop.closed_loop import Trajectories
 from npred.loop.loop import Loop
-from npred.loop.measurement import Measurement, Observer
+from npred.loop.measurement import Estimate, Measurement
 from npred.loop.timing import Timing
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
@@ -48,7 +48,7 @@ class Condition:
     first: int = 0
     adapts: bool = True
     disturbance: Callable[[float], Any] | None = None
-    observer: Observer | None = None
+    observer: Estimate | None = None
 
     @property
     def steps(self) -> int:
@@ -126,11 +126,11 @@ def described(table: LoopTable, plant: Plant, predictor: Predictor, adapts: bool
     } | more)  # fmt: skip
 
 
-def observer(table: LoopTable, plant: Plant) -> StateObserver | None:
+def observer(table: LoopTable, plant: Plant) -> Observer | None:
     """The observer of the state that a table asks for. Raises ConfigError for one that does not fit."""
     if table.observer is None:
         return None
-    kind = OBSERVERS.subclass("observer", table.observer.kind, StateObserver)
+    kind = OBSERVERS.subclass("observer", table.observer.kind, Observer)
     return kind(plant, outputs=table.observer.outputs, offset=table.observer.offset)
 
 

@@ -8,8 +8,6 @@ from npred.base.registry import FROZEN
 from npred.lab.config.loop import LoopTable
 from npred.lab.config.section import Bounds, Count, Delay, Nodes, Number, Positive, Range, Section, Some
 
-CASES = {"D_hat": "case_D_hat", "t_end": "case_t_end"}  # keys of [evaluate] by those of a scenario
-
 
 class Drift(Section):
     """The true delay D + amplitude sin(2π t / period)."""
@@ -29,8 +27,8 @@ class _Scenario(Section):
     """Loops under other conditions, from the initial states of the cases. A key replaces that of [evaluate]."""
 
     name: Annotated[str, Field(min_length=1, max_length=40)]  #: in tables and figures
-    D_hat: Some[Positive] | None = None  #: as case_D_hat
-    t_end: Positive | None = None  #: as case_t_end
+    case_D_hat: Some[Positive] | None = None  #: as case_D_hat
+    case_t_end: Positive | None = None  #: as case_t_end
     drift: Drift | None = None  #: the true delay oscillates
     jump: Jump | None = None  #: the true delay jumps
 
@@ -43,7 +41,7 @@ class _Scenario(Section):
     @property
     def about_delay(self) -> list[str]:
         """The keys that are given and mean nothing where the plant declares its delay."""
-        keys = ("adaptation", "gamma", "b", "bounds", "D_hat", "drift", "jump")
+        keys = ("adaptation", "gamma", "b", "bounds", "case_D_hat", "drift", "jump")
         return [key for key in keys if getattr(self, key) is not None]
 
     def delays(self, D: float) -> Range:
@@ -57,7 +55,7 @@ if TYPE_CHECKING:
     Scenario = _Scenario
 else:  # with each key of a loop that is not that of the predictor, which is made once
     _hints = get_type_hints(LoopTable, include_extras=True)
-    _keys = [key for key in LoopTable.model_fields if key not in ("nx", "predictor", *_Scenario.model_fields)]
+    _keys = [key for key in LoopTable.model_fields if key not in ("nx", "predictor", "t_end")]
     _fields = {key: (_hints[key] | None, Field(None, description=f"as {key}")) for key in _keys}
     Scenario = create_model("Scenario", __base__=_Scenario, __doc__=_Scenario.__doc__, __module__=__name__, **_fields)
 
@@ -95,8 +93,8 @@ class Evaluate(LoopTable):
 
     def under(self, scenario: Scenario) -> Self:
         """This table with the keys that a scenario gives in their places; drifts and jumps of D aside."""
-        values = {CASES.get(key, key): value for key, value in scenario if value is not None}
-        return self.model_copy(update={key: value for key, value in values.items() if key in type(self).model_fields})
+        keys = type(self).model_fields
+        return self.model_copy(update={key: value for key, value in scenario if key in keys and value is not None})
 
     @property
     def adapts(self) -> bool:
@@ -121,12 +119,12 @@ class Evaluate(LoopTable):
             try:
                 table = self.under(scenario)
                 table.reached("delay", span)
-                table.lasts("t_end", table.case_t_end)
+                table.lasts("case_t_end", table.case_t_end)
                 table.acting(self.adapts)
             except ValueError as error:
                 raise ValueError(f"scenarios[{k}]: {error}") from None
-            for value in scenario.D_hat or []:
-                table.reached(f"scenarios[{k}].D_hat", (value, value))
+            for value in scenario.case_D_hat or []:
+                table.reached(f"scenarios[{k}].case_D_hat", (value, value))
         return self
 
     @model_validator(mode="after")

@@ -35,7 +35,7 @@ Limits = Annotated[SafetyFilter, built(SafetyFilter)]
 StartInput = Number | list[Number] | list[list[Number]] | Literal["equilibrium", "law"]
 
 
-class StateObserver(Section):
+class ObserverTable(Section):
     """An observer that estimates the state from the plant's outputs."""
 
     kind: Observes = "ekf"  #: ekf, luenberger, one of a package, or `file.py:Class`
@@ -53,7 +53,7 @@ class Disturbance(Section):
 class Setpoint(Section):
     """A parameter of the plant that is set while a loop runs."""
 
-    at: list[Number]  #: times, rising, in seconds
+    at: list[Number]  #: times, rising, in the plant's unit
     to: list[Number]  #: its value from each of them on
 
 
@@ -79,14 +79,14 @@ class LoopTable(Section):
     #: a method, as rk4 or rosenbrock, one of a package, or `file.py:Class`
     predictor: Method = "rk4"
     adaptation: Law = PAPER  #: the delay law: the paper's, frozen, one of a package, or `file.py:Class`
-    #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D. With adaptation
+    #: adaptation gain [DAPF, eq. 11]; by default one that suits the plant and D. Needs a law
     gamma: Positive | None = None
-    b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]. With adaptation
-    bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D. With adaptation
+    b: Positive = 1.0  #: weight of w in phi [DAPF, eq. 12]. Needs a law
+    bounds: Range = (0.1, 4.0)  #: the range of D_hat; by default 0.1 D to 4 D. Needs a law
     input_bounds: list[Bounds] | None = None
     u0: StartInput | None = None
     actuator: Actuator = "measured"
-    observer: StateObserver | None = None
+    observer: ObserverTable | None = None
     watchdog: Annotated[Watchdog, built(Watchdog)] | None = None
     safety: Limits | None = None
     outlier_limit: Positive = 1.0
@@ -153,10 +153,10 @@ class LoopTable(Section):
     def acting(self, adapts: bool) -> None:
         """Raise ValueError for keys that cannot act, whatever the plant; those of a law where no loop adapts D_hat."""
         fields = type(self).model_fields
-        given = [key for key in fields if getattr(self, key) != fields[key].default]
-        acts.refuse(self, given, whole=False)
+        names = [key for key in fields if getattr(self, key) != fields[key].default]
+        acts.refuse(self, names, whole=False)
         for key in () if adapts else ("gamma", "b", "bounds"):
-            if key in given:
+            if key in names:
                 came = f'got adaptation = "{FROZEN}"'
                 raise ValueError(f"{key}: expected a law that adapts D_hat, {came}; name one, or leave {key} out")
 

@@ -68,6 +68,8 @@ class Slices:
         section["predictor"] = registry.METHODS.identity(settings.predictor)
         scenarios = section.get("scenarios", [])
         for holder in [section, *scenarios]:
+            if holder["integrator"]:
+                holder["integrator"] = registry.METHODS.identity(holder["integrator"])
             if holder["adaptation"]:
                 holder["adaptation"] = registry.DELAY_LAWS.identity(holder["adaptation"])
             if observer := holder["observer"]:

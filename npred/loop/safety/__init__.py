@@ -47,18 +47,6 @@ class SafetyFilter:
         """True for a traced plant with one constant delay."""
         return plant.traced and plant.one_delay and not plant.declares_delay
 
-    def check(self, plant: "Plant") -> None:
-        """Raise ConfigError for a plant without limits, or of a kind that this filter does not serve."""
-        if not plant.declares_safe:
-            what, cure = "safety: expected a plant with safe(x, t, p, M)", "write it"
-            raise ConfigError(f"{what}, which is at least 0 where it is safe, plant {plant.name} has none; {cure}")
-        if not self.serves(plant):
-            raise ConfigError(
-                f"safety: expected a traced plant with one constant delay, plant {plant.name} is of another kind; "
-                "enforce its limits in kappa"
-            )
-        self.kernels(plant)
-
     def numbers(self, plant: "Plant", dt: float, input_bounds: np.ndarray) -> dict[str, Any]:
         """The settings of a loop with it."""
         from npred.loop.safety.filter import numbers

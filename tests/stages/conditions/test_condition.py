@@ -1,16 +1,18 @@
 """The loops that a table of the pipeline file asks for: those of simulate with the same settings, and their starts."""
 
+import dataclasses
 import math
 import types
 
 import numpy as np
 import pytest
 from jobs import tables
+from slow_cart import Cart
 
 import npred
 from npred.base.errors import ConfigError
 from npred.lab import config
-from npred.lab.config import Evaluate
+from npred.lab.config import Evaluate, LoopTable
 from npred.lab.config.conditions import Condition, box, starts
 from npred.prediction.methods import RK4
 
@@ -60,6 +62,38 @@ def test_a_table_runs_as_the_same_settings_in_python(name):
     )
     np.testing.assert_array_equal(loops.X, direct.X)
     assert name == "nothing" or not np.array_equal(loops.X, run(Evaluate(dt=0.01)).X)
+
+
+CART = npred.plant(Cart)
+RARE = {"actuator": "history", "timing": {}, "measurement": {"noise": 0.05, "period": 0.1, "delay": 0.06, "drop": 0.5}}
+KEYS = {  # of a loop in a pipeline: a value, and a table in which it makes another U
+    "dt": (0.02, {}), "adaptation": ("delay-observer", {}), "gamma": (50.0, {}), "b": (50.0, {"gamma": 5.0}),
+    "bounds": ((0.199, 0.301), {"gamma": 500.0}), "input_bounds": ([[-0.2, 0.2]], {}), "u0": ([0.5], {}),
+    "actuator": ("history", {}), "observer": ({}, RARE), "watchdog": ({"after": 0.1, "then": "zero"}, RARE),
+    "safety": ({}, {}), "outlier_limit": (0.001, RARE), "max_sample_age": (0.0, RARE),
+    "measurement": ({"noise": 0.01}, {}), "truth": ({"drag": 0.4}, {}), "truth_scale": (1.5, {}),
+    "disturbance": ({"amplitude": 0.1}, {}), "setpoints": ({"aim": {"at": [0.5], "to": [0.2]}}, {}),
+    "timing": ({"lost": 0.5}, {"actuator": "history"}), "integrator": ("euler", {}),
+}  # fmt: skip
+
+
+def test_every_key_of_a_loop_is_tried():
+    assert KEYS.keys() | {"nx", "predictor", "t_end"} == LoopTable.model_fields.keys()  # those of the predictor aside
+    python = {"plant", "predictor", "D", "D_hat", "X0", "history_length"}
+    assert {field.name for field in dataclasses.fields(npred.Loop)} - python <= KEYS.keys()
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_a_key_reaches_the_loop_that_is_run(key):
+    """With it U is another one, in [evaluate] and in a scenario alike."""
+    value, table = KEYS[key]
+    table = {"dt": 0.01, "D": 0.2, "gamma": 5.0, "bounds": [0.05, 0.8]} | table
+    plain = Evaluate.model_validate(table | {"scenarios": [{"name": "a", key: value}]})
+    loops = [plain, Evaluate.model_validate(table | {key: value}), plain.under(plain.scenarios[0])]
+    start = {"X0": np.array([[0.0, 0.1], [0.1, 0.1]]), "D": 0.2, "D_hat": 0.3, "t_end": 1.6, "seed": 7}
+    without, *both = (Condition(one, **start).loops(CART, RK4(CART, 11)).U for one in loops)
+    np.testing.assert_array_equal(*both)
+    assert without.shape != both[0].shape or not np.array_equal(without, both[0])
 
 
 def test_a_part_of_a_batch_has_the_noise_that_it_has_in_the_whole():

@@ -22,7 +22,7 @@ TABLES = [
     {"name": "noise", "measurement": {"relative_noise": 0.02, "period": 0.05}},
     {"name": "other plant", "truth_scale": 1.03},
     {"name": "drift", "drift": {"amplitude": 0.2, "period": 3.0}, "actuator": "history"},
-    {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "D_hat": [0.4], "t_end": 8.0},
+    {"name": "observed", "adaptation": "delay-observer", "actuator": "history", "case_D_hat": [0.4], "case_t_end": 8.0},
 ]
 
 
