@@ -1,16 +1,17 @@
 """One description, every way to run it: the largest difference of U, and statuses that differ.
 
-    python benchmarks/parity.py [--count 200] [--seed 0] [--ways clock,controller,c] [--one NUMBER]
+    python benchmarks/parity.py [--count 200] [--first 0] [--seed 0] [--ways clock,pipeline,controller,rig,c,fmu]
 
 Random descriptions of a loop (plant, predictor, law, observer, filter, watchdog, gate, ages, jitter, losses, faults,
 set-points, bounds, u0, disturbance, mismatch) are run by npred.simulate as they are, by npred.simulate on a clock
-(`timing`), by npred.controller around a plant of this file, and by the exported C, which gets the same calls.
-The plant of this file, its sensors and the way of the commands share no code with npred: NumPy, event by event.
+(`timing`), as a pipeline's table, by npred.controller around a plant of this file, by the same around the plant of
+npred rig in simulated time, and by the exported C and the FMU, which get the same calls; an FMU is called on time,
+with a sample. The plant of this file, its sensors and the way of the commands share no code with npred: NumPy, event by
+event.
 Differences of U are in the half widths of its bounds, else of its range in the loop. A refused description is
-counted by its words.
+counted by its words. The rig's plant takes steps of its own: it is to agree to 1e-6.
 """
 
-import argparse
 import collections
 import ctypes
 import math
@@ -18,20 +19,36 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import harness
 import numpy as np
 
 import npred
 from npred.base.errors import DivergedError, NpredError
+from npred.lab.config import Evaluate
+from npred.lab.config.conditions import Condition
 from npred.loop.timing import Schedule, schedule
 from npred.loop.trajectories import Trajectories
+from npred_rig import sides
+from npred_rig.network import Packet
 
 PLANTS = {"van_der_pol": (0.02, 0.4), "scalar": (0.02, 0.5), "cart_pole": (0.01, 0.12), "planar_arm2": (0.01, 0.1),
           "activator_repressor": (0.02, 0.6), "unicycle": (0.02, 0.3)}  # fmt: skip
 STEPS = 150
-AGREE = 1e-9
+AGREE = {"rig": 1e-6}  # else 1e-9
 TAKEN = (0, 7)  # the codes of a set-point that is taken; 7 says that its rest breaks a limit
+
+
+class Sine(NamedTuple):
+    """A disturbance."""
+
+    amplitude: float
+    omega: float
+    m: int
+
+    def __call__(self, t: float) -> list[float]:
+        return [self.amplitude * math.sin(self.omega * t)] * self.m
 
 
 class Bounded:
@@ -85,7 +102,7 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
         "adaptation": sometimes(0.3, lambda: npred.DelayObserver(bounds=(0.4 * D, 2 * D))),
         "input_bounds": sometimes(0.2, lambda: [(-2.0, 2.0)] * plant.m),
         "u0": sometimes(0.6, lambda: rng.choice(["equilibrium", "law"])),
-        "disturbance": sometimes(0.3, lambda: lambda t: [0.3 * math.sin(5 * t)] * plant.m),
+        "disturbance": sometimes(0.3, lambda: Sine(0.3, 5.0, plant.m)),
         "outlier_limit": sometimes(0.2, lambda: float(rng.choice([0.2, 3.0]))),
         "max_sample_age": sometimes(0.2, lambda: 40 * dt),
         "watchdog": sometimes(0.15, lambda: npred.Watchdog(after=4 * dt, then="zero")),
@@ -101,9 +118,9 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
     if (sensors := loop.get("measurement")) is not None:
         sensors = {k: v[:1] if "observer" in loop and isinstance(v, tuple) else v for k, v in sensors.items()}
         loop["measurement"] = npred.Measurement(**sensors, seed=int(rng.integers(99)))
-    if rng.random() < 0.3:
+    if history and rng.random() < 0.3:
         jitter, lost = float(rng.choice([0.0, 0.3])), float(rng.choice([0.0, 0.1]))
-        loop["timing"] = npred.Timing(jitter=jitter, lost=lost, overrun=lost / 2, tells=True)
+        loop["timing"] = npred.Timing(jitter=jitter, lost=lost, overrun=lost / 2, tells=True, seed=_seed(loop))
     sensors, clock = loop.get("measurement"), history and {"timing", "observer", "watchdog"} & loop.keys()
     for name, acts in (
         ("outlier_limit", clock),
@@ -112,6 +129,10 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
         if not acts:
             loop.pop(name, None)
     return loop
+
+
+def _seed(loop: dict[str, Any]) -> int:
+    return loop["measurement"].seed if "measurement" in loop else 0
 
 
 def _varied(plant: Any) -> Any:
@@ -187,10 +208,62 @@ def events(loop: dict[str, Any]) -> Schedule:
     return schedule(timing, measurement, loop["dt"], STEPS + 1, 0)
 
 
+class OnRig(Own):
+    """The plant of npred rig in simulated time, which the commands reach at once."""
+
+    def __init__(self, loop: dict[str, Any], past: np.ndarray) -> None:
+        super().__init__(loop, past)
+        table = _table(loop)
+        self.rig = sides.DelayedPlant(self.plant, table, past)
+        self.rig.step = self.dt / 8
+
+    def go(self, to: float) -> None:
+        for number, (at, U) in enumerate(self.sent[1:]):
+            self.rig.command(Packet(at * self.dt, number, at * self.dt, U))
+        self.X = self.rig.to(to * self.dt).copy()
+
+
+def _table(loop: dict[str, Any]) -> Evaluate:
+    """The description as a pipeline's table [evaluate]."""
+    law, keys = loop.get("adaptation"), ("dt", "input_bounds", "u0", "actuator", "outlier_limit", "max_sample_age")
+    table = {key: loop[key] for key in keys if key in loop} | {
+        "t_end": loop["t_end"],
+        "D": loop["D"],
+        "D_hat": loop["D_hat"],
+    }
+    table |= {"X0": loop["X0"].tolist(), "adaptation": "delay-observer" if law else "frozen"}
+    table |= {"bounds": law.bounds} if law else {}
+    if push := loop.get("disturbance"):
+        table["disturbance"] = {"amplitude": push.amplitude, "omega": push.omega}
+    if truth := loop.get("truth"):
+        table["truth"] = {k: v for k, v in truth.parameters.items() if v != loop["plant"].parameters[k]}
+    if sensors := loop.get("measurement"):
+        table["measurement"] = {k: v for k, v in vars(sensors).items() if k not in ("seed", "first", "observer")}
+    if timing := loop.get("timing"):
+        table["timing"] = {k: v for k, v in vars(timing).items() if k != "seed"}
+    if watchdog := loop.get("watchdog"):
+        table["watchdog"] = {"after": watchdog.after, "then": watchdog.then}
+    if "safety" in loop:
+        table["safety"] = {}
+    if observer := loop.get("observer"):
+        table["observer"] = {"kind": "ekf", "offset": observer.offset}
+    table["setpoints"] = {k: {"at": at, "to": to} for k, (at, to) in loop.get("setpoints", {}).items()}
+    return Evaluate.model_validate({k: v for k, v in table.items() if v is not None})
+
+
+def by_pipeline(loop: dict[str, Any]) -> np.ndarray:
+    """U of the loop of a pipeline's table."""
+    one = (np.array([value]) for value in (loop["X0"], loop["D"], loop["D_hat"]))
+    condition = Condition(_table(loop), *one, loop["t_end"], seed=_seed(loop))
+    return condition.loops(loop["plant"], loop["predictor"], every=1, progress=False).U[0]
+
+
 CONTROLLER = ("input_bounds", "u0", "observer", "watchdog", "safety", "outlier_limit", "max_sample_age")
 
 
-def by_controller(loop: dict[str, Any]) -> tuple[np.ndarray, dict[str, float], Any, list[tuple[Any, ...]]]:
+def by_controller(
+    loop: dict[str, Any], world: type[Own] = Own
+) -> tuple[np.ndarray, dict[str, float], Any, list[tuple[Any, ...]]]:
     """U of npred.controller around the plant of this file, its counts, itself, and its calls."""
     given = {name: loop[name] for name in CONTROLLER if name in loop}
     if given.get("u0") == "law":
@@ -198,7 +271,7 @@ def by_controller(loop: dict[str, Any]) -> tuple[np.ndarray, dict[str, float], A
     c = npred.controller(
         loop["plant"], loop["predictor"], loop.get("adaptation"), loop["dt"], D_hat=loop["D_hat"], **given
     )
-    start, plan, own = c.fresh(), events(loop), Own(loop, c.u0)
+    start, plan, own = c.fresh(), events(loop), world(loop, c.u0)
     measurement, course = loop.get("measurement") or npred.Measurement(), dict(loop.get("setpoints") or {})
     taken: dict[int, np.ndarray] = {}
     order, U, calls, last, lost = list(enumerate(plan.taken)), [], [], c.u0, None
@@ -271,6 +344,28 @@ def by_c(controller: Any, calls: list[tuple[Any, ...]]) -> float:
     return worst if math.isfinite(worst) else math.inf
 
 
+def by_fmu(controller: Any, calls: list[tuple[Any, ...]]) -> float:
+    """The largest difference of U of the FMU from that of the same calls in Python."""
+    with tempfile.TemporaryDirectory() as folder:
+        one, worst = harness.InFmu(controller, Path(folder)), 0.0
+        for _, X, _, _, values, expected, refused in calls:
+            if values:
+                one.set(**values)
+            try:
+                worst = max(worst, float(np.abs(one.step(X) - expected).max()))
+                came = False
+            except DivergedError:
+                came = True
+            if came != refused:
+                return math.inf
+    return worst if math.isfinite(worst) else math.inf
+
+
+def _on_time(calls: list[tuple[Any, ...]], dt: float) -> bool:
+    steps = enumerate(calls)
+    return all(X is not None and at == t and abs(t - k * dt) < 1e-9 and a is None for k, (t, X, at, a, *_) in steps)
+
+
 def compared(loop: dict[str, Any], ways: list[str]) -> Iterator[tuple[str, float]]:
     """The differences of U between pairs of ways; infinite where a status differs."""
     run: Trajectories = npred.simulate(**loop, progress=False)
@@ -279,15 +374,22 @@ def compared(loop: dict[str, Any], ways: list[str]) -> Iterator[tuple[str, float
     half = np.where(np.isfinite(np.ptp(bounds, axis=1)), np.ptp(bounds, axis=1) / 2, np.maximum(size, 1e-6))
     history = loop["actuator"] == "history"
     on_clock = run
+    if "pipeline" in ways:
+        yield "pipeline", _apart(run.U, by_pipeline(loop), half)
     if history and run.clock is None and "clock" in ways:
         on_clock = npred.simulate(**loop, timing=npred.Timing(), progress=False)
         yield "clock", _apart(run.U, on_clock.U, half)
-    if history and "controller" in ways and on_clock.clock is not None:
-        U, counts, start, calls = by_controller(loop)
-        seen = {name: int(getattr(on_clock.clock, name)) for name in counts}
-        yield "controller", _apart(on_clock.U, U, half) if seen == counts else math.inf
-        if "c" in ways:
-            yield "c", by_c(start, calls)
+    if not history or "controller" not in ways or on_clock.clock is None:
+        return
+    U, counts, start, calls = by_controller(loop)
+    seen = {name: int(getattr(on_clock.clock, name)) for name in counts}
+    yield "controller", _apart(on_clock.U, U, half) if seen == counts else math.inf
+    if "rig" in ways and loop["plant"].one_delay and "disturbance" not in loop:
+        yield "rig", _apart(U, by_controller(loop, OnRig)[0], half)
+    if "c" in ways:
+        yield "c", by_c(start, calls)
+    if "fmu" in ways and len(calls) == STEPS + 1 and _on_time(calls, loop["dt"]):
+        yield "fmu", by_fmu(start, calls)
 
 
 def _apart(a: np.ndarray, b: np.ndarray, half: np.ndarray) -> float:
@@ -296,35 +398,28 @@ def _apart(a: np.ndarray, b: np.ndarray, half: np.ndarray) -> float:
     return float(np.nanmax(np.abs(a - b) / half, initial=0.0))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--ways", default="clock,controller,c")
-    parser.add_argument("--one", type=int)
-    options = parser.parse_args()
+if __name__ == "__main__":
+    asked = harness.options(__doc__, {}, count=200, first=0, seed=0, ways="clock,pipeline,controller,rig,c,fmu")
     worst: dict[str, tuple[float, int]] = {}
-    apart, words, run = collections.Counter[str](), collections.Counter[str](), 0
-    for number in range(options.count) if options.one is None else [options.one]:
-        loop = described(np.random.default_rng([options.seed, number]))
+    apart, counted, words, ran = (collections.Counter[str]() for _ in range(4))
+    for number in range(asked.first, asked.first + asked.count):
+        loop = described(np.random.default_rng([asked.seed, number]))
         try:
-            differences = dict(compared(loop, options.ways.split(",")))
+            differences = dict(compared(loop, asked.ways.split(",")))
         except NpredError as error:
             words[str(error)[:90]] += 1
             continue
-        run += 1
+        ran["descriptions"] += 1
         for way, difference in differences.items():
             worst[way] = max(worst.get(way, (0.0, -1)), (difference, number))
-            apart[way] += difference > AGREE
-            if difference > AGREE:
+            counted[way] += 1
+            if difference > AGREE.get(way, 1e-9):
+                apart[way] += 1
                 parts = {k: v for k, v in loop.items() if k not in ("plant", "predictor", "X0")}
                 print(f"{number}: {way} differs by {difference:.2g}: {loop['plant'].name} {parts}", flush=True)
-    print(f"{run} descriptions ran")
+    print(f"{ran['descriptions']} descriptions ran")
+    harness.head("way", "loops", "differ by more than 1e-9, the rig 1e-6", "worst", "in")
     for way, (difference, number) in worst.items():
-        print(f"| {way} | {apart[way]} differ by more than {AGREE:g} | worst {difference:.2g} in {number} |")
+        harness.row(way, counted[way], apart[way], f"{difference:.2g}", number)
     for text, count in words.most_common():
         print(f"refused {count}: {text}")
-
-
-if __name__ == "__main__":
-    main()
