@@ -1,12 +1,13 @@
 """What control steps, nodes and cell means cost: figures of docs/fidelity.md, docs/predictors.md, docs/real_loop.md, …
 
-    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [default] [exact]
+    python benchmarks/discretisation.py [mesh] [tracking] [order] [margin] [published] [delay] [default] [exact]
 
 mesh: D_hat at the end of Fig. 1's loop against the mesh limit of an independent solver, for smaller and smaller dt.
 tracking: where D_hat of a loop that follows sin t ends.
 order: the error of P(1) of nodes whose inputs a loop gives, and of a smooth u, and its fitted order.
 margin: the lowest 1 - D_X f of the exact loop, by SciPy, that npred takes for infeasible.
 published: what two digits of docs/reproduce.md are of.
+delay: what loops lose by fewer control steps in a delay.
 default: what the default control steps lose, for delays of a tenth, a third and all of a usual one.
 exact: delays of one to three control steps against an exact sampled predictor.
 """
@@ -21,7 +22,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 
 import npred
-from npred.loop import control_step
+from npred.loop import control_step, hold
 from npred.plants import Plant
 
 TIGHT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
@@ -176,6 +177,17 @@ def _lost(plant, D: float, dt: float, parts: int, **loop) -> float:
     return float((np.abs(run.X[:count] - fine.X[:count]) / size).max())
 
 
+def delay() -> None:
+    """What a loop loses by fewer and fewer control steps in a known delay, and what npred says of small states."""
+    for name, (D, X0) in CASES.items():
+        plant, shown = npred.plant(name), []
+        loop = {"X0": X0, "t_end": 20.0 * D, "actuator": "history"}
+        for steps in (300, 60, 20, 10, 5, 2, 1):
+            lost = _lost(plant, D, D / steps, 3000 // steps, **loop)
+            shown.append(f"{steps}: {lost:.1%} ({hold.loss(plant, D / steps):.1%})")
+        print(f"{name}, D / dt = {', '.join(shown)}", flush=True)
+
+
 def default() -> None:
     """Default control steps beside D / 300 and D / 20: what the loop loses, the error of D_hat at its end, the time."""
     print("plant                    D      dt  D / dt   loss  |D_hat / D - 1|      ms")
@@ -229,5 +241,5 @@ def exact() -> None:
 
 
 if __name__ == "__main__":
-    for part in harness.chosen(__doc__, mesh, tracking, order, margin, published, default, exact):
+    for part in harness.chosen(__doc__, mesh, tracking, order, margin, published, delay, default, exact):
         part()
