@@ -168,7 +168,7 @@ class ExportingLoop(Exporting):
     guard: Annotated[float | None, flag("Largest error of U that the guard accepts; by default as in evaluate.")] = None
     watchdog: Annotated[str, WATCHDOG] = ""
     max_sample_age: Annotated[
-        float | None, flag("Oldest sample that is used; by default 100 control steps.", word="TIME")
+        float | None, flag("Oldest sample that is used; by default 50 control steps.", word="TIME")
     ] = None
 
     @property

@@ -20,7 +20,7 @@ from npred.prediction.delays.constant import ConstantDelay
 from npred.prediction.methods import RK4
 
 DELAYS = 5.0  # times the delay at a plant's target, where it declares one, are commands kept
-OLDEST = 100  # control steps, by default the largest age of a sample
+OLDEST = 50  # control steps, by default the largest age of a sample
 
 
 def first_estimate(loop: Loop) -> tuple[DelayLaw | None, float | None]:

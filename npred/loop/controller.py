@@ -89,7 +89,7 @@ class Controller(InNotebook):
     D_hat. `outlier_limit=None` accepts all; so does a state without a box.
 
     With "history" a call may also come at any time `t`, without a sample, or with one that was taken up to
-    `max_sample_age` ago (100 control steps by default): X_hat is the model's state from the last sample on.
+    `max_sample_age` ago (50 control steps by default): X_hat is the model's state from the last sample on.
     `observer`, one of npred.observers, estimates X from the plant's outputs, of which `step` then gets the samples; it
     accepts an output within 6 `outlier_limit` standard deviations (EKF), or `outlier_limit` half ranges (Luenberger),
     and restarts if it refused one for a time of D_hat. `watchdog` gives U if no sample comes (npred.Watchdog).

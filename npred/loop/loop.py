@@ -56,7 +56,7 @@ class Loop:
     #: samples farther from the model than this times half the box are refused; None takes all. Needs a predictor, and
     #: actuator="history"
     outlier_limit: float | None = 1.0
-    #: largest age of a sample that is used; by default 100 control steps. Needs a predictor, actuator="history", and in
+    #: largest age of a sample that is used; by default 50 control steps. Needs a predictor, actuator="history", and in
     #: a simulation a period or a delay of the measurement
     max_sample_age: float | None = None
     #: how long commands are kept; by default the largest D_hat. Needs a controller alone, with actuator="history", or a
