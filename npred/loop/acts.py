@@ -47,9 +47,9 @@ KINDS = {  # by field: the kind of a part, in words, and the cure
 }  # fmt: skip
 ABOVE, FROM = (lambda value: 0 < value < math.inf), (lambda value: 0 <= value < math.inf)
 NUMBERS = {  # by field: the range of a number, in words, and the cure
-    "dt": (ABOVE, "a control step above 0", "give a time"),
+    "dt": (ABOVE, "a control step above 0", "give a time in {unit}"),
     "outlier_limit": (ABOVE, "a number above 0, or None for no limit", "1 is the default"),
-    "max_sample_age": (FROM, "how old a sample may be, at least 0", "give a time"),
+    "max_sample_age": (FROM, "how old a sample may be, at least 0", "give a time in {unit}"),
     "history_length": (ABOVE, "a time above 0", "leave it out for the largest D_hat"),
 }
 
@@ -143,7 +143,7 @@ def check(loop: "Loop") -> None:
     for name, (fits, expected, cure) in NUMBERS.items():
         value = getattr(loop, name)
         if value is not None and not fits(array_checks.number(name, value)):
-            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {cure}")
+            raise ConfigError(f"{name}: expected {expected}, got {value!r}; {cure.format(unit=plant.time_unit)}")
     for name in ("D", "D_hat"):
         value = getattr(loop, name)
         if value is None and not (loop.alone or plant.declares_delay):
