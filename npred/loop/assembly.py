@@ -75,6 +75,11 @@ def history_length(loop: Loop, bounds: np.ndarray) -> float:
     return float(loop.history_length)
 
 
+def _own(loop: Loop) -> list[Any]:
+    """Its parts that bring kernels, settings and signals of their own."""
+    return [own for own in (loop.observer, loop.watchdog, loop.safety) if own]
+
+
 def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
     """The sentences of a control step on lanes by npred.loop.signals.PARTS, None for those that it does not have."""
     plant, predictor = loop.plant, loop.predictor
@@ -89,8 +94,8 @@ def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
         "update": laws.update,
         "model": engine.advance_kernel(plant, RK4) if goes_on else None,
     }
-    for own in (loop.observer, loop.watchdog, loop.safety):
-        parts |= own.kernels(plant) if own else {}
+    for own in _own(loop):
+        parts |= own.kernels(plant)
     return parts
 
 
@@ -98,15 +103,15 @@ def settings(loop: Loop, laws: Part, **simulated: Any) -> Settings:
     """What the kernels are set to; `simulated` are the settings of what is simulated around the controller."""
     plant, guard, gate = loop.plant, getattr(loop.predictor, "settings", None), loop.outlier_limit
     limits, watches = inputs.bounds(plant, loop.input_bounds), laws.memory > 1
-    low, high = box = np.array([plant.box.get(name, (0.0, 0.0)) for name in plant.states]).T  # zeros for no range
-    numbers: dict[str, Any] = {"anew": box.mean(axis=0)}
-    for own in (loop.observer, loop.watchdog, loop.safety):
-        numbers |= own.numbers(plant, loop.dt, limits) if own else {}
+    box = plant.ranges(half=0.0)
+    half, numbers = np.ptp(box, axis=1) / 2, {"anew": box.mean(axis=1)}
+    for own in _own(loop):
+        numbers |= own.numbers(plant, loop.dt, limits)
     return signals.settings(
         dt=loop.dt, b=laws.b, gamma_dt=laws.gamma * loop.dt,
         reads_commands=loop.reads_commands, stores_commands=loop.reads_commands,
         gate=(gate or 1.0) * (SIGMAS if loop.observer else 1.0), gated=loop.reads_commands and gate is not None,
-        reach=(gate or 1.0) * np.where(high > low, (high - low) / 2, np.inf), oldest=float(oldest(loop)),
+        reach=(gate or 1.0) * np.where(half > 0, half, np.inf), oldest=float(oldest(loop)),
         observer_count=laws.memory if watches else 0, judges_outputs=bool(loop.observer) and watches,
         output_count=len(outputs(loop)), bounds=laws.bounds, p=plant.p.copy(), truth_p=loop.real.p.copy(),
         ratios=plant.ratios, input_bounds=np.ascontiguousarray(inputs.widest(plant, limits), dtype=float),
@@ -119,6 +124,6 @@ def sizes(loop: Loop, laws: Part) -> dict[str, int]:
     plant, predictor = loop.plant, loop.predictor
     axes = {"n": plant.n, "m": plant.m, "nx": predictor.nx if predictor else 2, "observer": laws.memory}
     axes |= dict.fromkeys(("past", "filter", "ends", "plan"), 0) | {"outputs": len(outputs(loop))}
-    for own in (loop.observer, loop.watchdog, loop.safety):
-        axes |= own.axes(plant) if own else {}
+    for own in _own(loop):
+        axes |= own.axes(plant)
     return axes

@@ -99,9 +99,9 @@ class Memory:
             remembered = {"commands": {"k": k, "held": held, "sums": sums}, "clock": self.clock.state()}
         if self.loop.reads_commands:
             remembered["missed"] = int(z.missed[0])
-        if self.loop.observer:
+        if z.filter.size:
             remembered["filter"] = z.filter[:, 0].tolist()
-        if self.loop.safety:
+        if z.plan.size:
             remembered["plan"] = z.plan[:, 0].tolist()
         if self.watches:
             remembered["observer"] = [None if math.isnan(value) else value for value in z.observer[:, 0].tolist()]

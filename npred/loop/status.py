@@ -60,5 +60,5 @@ def of(memory: Memory) -> Status:
         innovation=z.innovation[:, 0].copy(), late=int(clock["late"]), refused=int(clock["refused"]),
         missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
         fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
-        kept=float(z.kept[0]) if loop.safety else math.nan, unkept=z.unkept[0] > 0,
+        kept=float(z.kept[0]) if z.plan.size else math.nan, unkept=z.unkept[0] > 0,
     )  # fmt: skip
