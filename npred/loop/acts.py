@@ -75,12 +75,9 @@ UNDECLARED = Need(
 )  # fmt: skip
 SERVED = UNDECLARED._replace(has=lambda of: of.alone or not of.plant.declares_delay)
 ESTIMATED = UNDECLARED._replace(has=lambda of: not of.plant.declares_delay or of.blind, cure="give 0 for no prediction")
-CLOCK = Need(
-    lambda of: of.alone or of.on_a_clock, "timing, an observer or a watchdog", lambda of: "none of them", "give one"
-)
 LATE = Need(
-    lambda of: of.alone or of.measurement.period or of.measurement.delay, "samples that may come late",
-    lambda of: "those of each control step, at once", "give the measurement a period or a delay",
+    lambda of: of.alone or of.measurement.delay or (of.measurement.period and of.on_a_clock),
+    "samples that may come late", lambda of: "those of control steps, at once", "give the measurement a delay",
 )  # fmt: skip
 KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
 DELAYED = Need(
@@ -112,7 +109,7 @@ NEEDS: dict[str, tuple[Need, ...]] = {  # by field; those without a need always 
     "watchdog": (FEEDBACK, SERVED, COMMANDS),
     "safety": (FEEDBACK, FILTERED, LIMITED, FORESEEN),
     "outlier_limit": (FEEDBACK, COMMANDS),
-    "max_sample_age": (FEEDBACK, COMMANDS, LATE, CLOCK),
+    "max_sample_age": (FEEDBACK, COMMANDS, LATE),
     "history_length": (ALONE, KEPT),
     "measurement": (SIMULATED, SEEN, COMPILED),
     "truth": (SIMULATED,),

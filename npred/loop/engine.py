@@ -88,7 +88,7 @@ class Engine:
         pointers = {name: ctypes.cast(f, ctypes.c_void_p).value for name, f in self._functions.items()}
         needed = [part.work(nx, lanes, settings.guard) for part in parts.values() if isinstance(part, Kernel)]
         filters = settings.filter_count + 3 * settings.output_count + 1
-        self._work = np.empty(max(needed, default=0) + 2 * n + 3 * m + settings.observer_count + filters)
+        self._work = np.empty(max(needed, default=0) + 2 * n + 3 * m + settings.observer_count + filters + lanes)
         self._arrays = [settings, state, *([out] if out else []), *([events] if events else [])]
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]

@@ -13,7 +13,7 @@ from npred.estimation.observers import Observer
 from npred.loop import acts
 from npred.loop.measurement import Measurement
 from npred.loop.safety import SafetyFilter
-from npred.loop.timing import Timing
+from npred.loop.timing import Timing, on_steps
 from npred.loop.watchdog import Watchdog
 from npred.plants.base import Plant
 from npred.prediction.methods import Predictor
@@ -30,7 +30,7 @@ class Loop:
     The parts down to `history_length` are the controller's; those that follow are of the simulated plant, its sensors
     and its clock. Times are in the plant's unit. A part that is given without what it needs has no use, and is refused
     in one line (npred.loop.acts). A clock is timing, an observer, a watchdog, or samples
-    that a controller with actuator="history" judges.
+    that a controller with actuator="history" gets between its steps, or late.
     """
 
     plant: Plant  #: the controller's model, from npred.plant
@@ -57,7 +57,7 @@ class Loop:
     #: actuator="history"
     outlier_limit: float | None = 1.0
     #: largest age of a sample that is used; by default 50 control steps. Needs a predictor, actuator="history", and in
-    #: a simulation a period or a delay of the measurement
+    #: a simulation a delay of the measurement, or its period and a clock
     max_sample_age: float | None = None
     #: how long commands are kept; by default the largest D_hat. Needs a controller alone, with actuator="history", or a
     #: law that reads the commands
@@ -124,11 +124,11 @@ class Loop:
 
     @property
     def on_a_clock(self) -> bool:
-        """True if calls, samples and commands each have their times, as where the controller judges samples of X that
-        are not X itself.
+        """True if calls, samples and commands each have their times, as where the controller judges samples that do
+        not come at its steps.
         """
         sees, alone = self.measurement, self.predictor is None or self.plant.declares_delay
-        judges = self.reads_commands and not sees.perfect and sees.observer is None and not alone
+        judges = self.reads_commands and sees.observer is None and not alone and not on_steps(sees, self.dt)
         return judges or any(part is not None for part in (self.timing, self.observer, self.watchdog))
 
     @classmethod

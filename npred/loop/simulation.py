@@ -16,7 +16,7 @@ from npred.loop.actuator import history
 from npred.loop.engine import Engine
 from npred.loop.loop import Loop
 from npred.loop.signals import Record, Settings, State
-from npred.loop.timing import SNAP
+from npred.loop.timing import SNAP, on_steps
 from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
@@ -159,11 +159,12 @@ class Simulation:
     def refuses(self) -> bool:
         """Whether some sample may be far from what the model expects: else there is nothing to judge."""
         loop = self.loop
-        if not loop.reads_commands or loop.outlier_limit is None or not loop.measurement.perfect:
+        if not loop.reads_commands or loop.outlier_limit is None or loop.measurement.observer is not None:
             return False
         known = loop.plant.declares_delay or (loop.adaptation is None and np.array_equal(loop.D, self.D_hat))
         exact = known and not loop.blind and not len(self.delays) and loop.integrator == RK4.name
-        return not (exact and loop.truth is None and loop.disturbance is None and not loop.setpoints)
+        exact = exact and loop.truth is None and loop.disturbance is None and not loop.setpoints
+        return not (exact and loop.measurement.perfect) and on_steps(loop.measurement, loop.dt)
 
     @cached_property
     def _settings(self) -> Settings:

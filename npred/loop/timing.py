@@ -109,6 +109,14 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     return Schedule(at, gap, skipped, lost, sample, age, taken, number)
 
 
+def on_steps(measurement: Measurement, dt: float | None) -> bool:
+    """Whether samples are taken at control steps and are there at once; False for a dt that is not known yet."""
+    if measurement.jitter or measurement.delay or dt is None:
+        return False
+    steps = 1.0 if measurement.period is None else measurement.period / dt
+    return abs(steps - round(steps)) <= ROUNDING
+
+
 def snapped(steps: np.ndarray | float) -> np.ndarray:
     """Numbers of control steps, whole where they are nearly."""
     return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)

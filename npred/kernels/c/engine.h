@@ -137,10 +137,12 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
     }
 }
 
-/* X_hat at control step k from samples that are X itself: X, or what the model expects where X is too far from that, and
- * then no sample, Y. The expected state follows from the last one by the commands, as the controller believes. */
+/* X_hat at control step k from samples of it: Y, or what the model expects where there is none, or where Y is too far
+ * from that; then Y is none too. The expected state follows from the last one by the commands, as the controller
+ * believes. */
 static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
+    const double *Y = s->senses ? z->Y : z->X;
     const int lanes = d.lanes;
     const double at = (double)(origin + k - 1);
     double *U0 = work, *U1 = U0 + d.m, *share = U1 + d.m;
@@ -158,11 +160,11 @@ static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts
     for (int l = 0; l < lanes; l++) {
         const Gate g = {z->first_refused + l, z->believed_since + l, z->stray + l};
         int anew = 0;
-        const int used = judge(d, l, (double)k, k > 0 ? z->D_hat[l] : 0.0, s, z->X, z->X_hat, g, &anew) == USED;
+        const int used = !isnan(Y[l]) && judge(d, l, (double)k, k > 0 ? z->D_hat[l] : 0.0, s, Y, z->X_hat, g, &anew) == USED;
         for (int c = 0; c < d.n; c++) {
             const int i = c * lanes + l;
-            z->X_hat[i] = used ? z->X[i] : z->X_hat[i];
-            z->Y[i] = used ? z->X[i] : NAN;
+            z->X_hat[i] = used ? Y[i] : z->X_hat[i];
+            z->Y[i] = used ? Y[i] : NAN;
         }
         for (int i = 0; i < s->observer_count && anew; i++) {
             z->observer[(ptrdiff_t)i * lanes + l] = NAN;
@@ -171,15 +173,20 @@ static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts
 }
 
 /* Let the observer of the delay start again in the lanes where it began, and has come to numbers that are not finite. */
-static inline void restart_lost(Shape d, const Settings *s, double *observer)
+static inline void restart_lost(Shape d, const Settings *s, double *observer, double *work)
 {
     const ptrdiff_t lanes = d.lanes, last = (s->observer_count - 1) * lanes;
+    double *nought = work; /* NaN in a lane with a number that is not finite */
     for (int l = 0; l < lanes; l++) {
-        int lost = 0;
-        for (int i = 0; i < s->observer_count && !isnan(observer[last + l]); i++) {
-            lost = lost || !isfinite(observer[i * lanes + l]);
+        nought[l] = 0.0;
+    }
+    for (int i = 0; i < s->observer_count; i++) {
+        LANES for (int l = 0; l < lanes; l++) {
+            nought[l] += 0.0 * observer[i * lanes + l];
         }
-        for (int i = 0; i < s->observer_count && lost; i++) {
+    }
+    for (int l = 0; l < lanes; l++) {
+        for (int i = 0; i < s->observer_count && isnan(nought[l]) && !isnan(observer[last + l]); i++) {
             observer[i * lanes + l] = NAN;
         }
     }
@@ -203,7 +210,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
             sample(d, k, s, z->X, z->past, z->due, z->sampled, z->Y);
             if (q->observer) {
                 q->observer(d, k, origin, s->dt, z->D_seen, z->held, z->Y, z->X_hat, work);
-            } else {
+            } else if (!s->gated) {
                 estimate(d, k, origin, s->dt, s->age, z->D_seen, z->held, z->Y, z->X_hat, q->model, s->p, work);
             }
         }
@@ -211,7 +218,7 @@ void run(Shape d, INDEX origin, INDEX start, INDEX stop, const Parts *q, const S
             believe(d, k, origin, t, q, s, z, work);
         }
         if (q->observe && (k == 0 || taken > 0)) { /* the first sample arrives at once */
-            restart_lost(d, s, z->observer);
+            restart_lost(d, s, z->observer, work);
             q->observe(d, origin + taken, s->dt, z->Y, z->held, (double)taken * s->dt, s->p, s->law, z->observer, z->D_hat, work);
         }
         decide(d, q, s, z, origin + k, 0.0, t, work);
