@@ -82,7 +82,7 @@ MISTAKES = {
     "plants check crane.py:Crane --delay 400ms": "--delay",
     "plants check crane.py:Crane --kappa lqp": "did you mean lqr?",
     "export controller crane.toml --predictor rk5 -o c": "did you mean rk4?",
-    "evaluate crane.toml --set evaluate.D_hat=1": "evaluate.D_hat",
+    "evaluate crane.toml --set evaluate.D_hat0=1": "did you mean D_hat",
     "export c crane.toml": "npred export controller",
 }
 
