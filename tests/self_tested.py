@@ -236,7 +236,7 @@ def drawn(controller: Controller, random: np.random.Generator, length: int) -> s
     if not controller.settings.reads_commands:
         return measured(controller, random, length)
     world, player, rows = self_test._World(controller, 1.0), self_test._Player(controller, np.zeros(0)), []
-    world.random, shift, old = random, 0.0, len(controller.memory.held)
+    world.random, shift, old = random, 0.0, len(controller.memory.signals.held)
     outputs = controller.observer.measured if controller.observer else np.asarray
     whats = ["now", "plain", "none", "far", "wild", "nan", "kick", "applied", "saved", "estimate", "time"]
     often = np.array([8, 5, 2, 0.5, 0.1, 0.2, 0.4, 0.3, 0.2, 0.1, 0.1])
@@ -253,7 +253,7 @@ def drawn(controller: Controller, random: np.random.Generator, length: int) -> s
             world.kick()
         shift += float(random.uniform(0.1, 3.0)) * (what == "time")
         age = (
-            float(random.uniform(0, 1.2 * controller._oldest + 2))
+            float(random.uniform(0, 1.2 * controller.memory.oldest + 2))
             if random.random() < 0.25 and what != "plain"
             else 0.0
         )

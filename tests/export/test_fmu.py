@@ -230,7 +230,7 @@ def test_what_a_safety_filter_did_is_that_of_python(instance, version):
 
 
 def test_before_the_first_sample_it_says_so(instance):
-    run, oldest = instance(turning), UNICYCLE.time_text(turning()._oldest * DT)
+    run, oldest = instance(turning), UNICYCLE.time_text(turning().memory.oldest * DT)
     run.set("sample_age", -1.0)
     run.step(POSE)
     assert run.get("age") == -1.0 and run.messages == [
