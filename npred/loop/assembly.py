@@ -9,7 +9,8 @@ import numpy as np
 
 from npred.base import array_checks
 from npred.base.errors import ConfigError
-from npred.estimation.delay_law import DelayLaw, Part, part
+from npred.estimation import delay_law
+from npred.estimation.delay_law import DelayLaw, Part
 from npred.estimation.observers.base import SIGMAS
 from npred.loop import engine, signals
 from npred.loop.loop import Loop
@@ -45,8 +46,8 @@ def first_estimate(loop: Loop) -> tuple[DelayLaw | None, float | None]:
 def law(loop: Loop) -> Part:
     """The kernels of U and of the estimate of the delay; the open loop has U = 0."""
     if loop.predictor is None:
-        return part(loop.plant, None, loop.dt)._replace(control=None)
-    laws = part(loop.plant, loop.adaptation, loop.dt, loop.observer)
+        return delay_law.part(loop.plant, None, loop.dt)._replace(control=None)
+    laws = delay_law.part(loop.plant, loop.adaptation, loop.dt, loop.observer)
     return laws._replace(control=ConstantDelay(loop.plant).control(RK4.step)) if loop.blind else laws
 
 
@@ -75,9 +76,9 @@ def history_length(loop: Loop, bounds: np.ndarray) -> float:
     return float(loop.history_length)
 
 
-def _own(loop: Loop) -> list[Any]:
-    """Its parts that bring kernels, settings and signals of their own."""
-    return [own for own in (loop.observer, loop.watchdog, loop.safety) if own]
+def _with_kernels(loop: Loop) -> list[Any]:
+    """Its parts that bring kernels, settings and signals."""
+    return [part for part in (loop.observer, loop.watchdog, loop.safety) if part]
 
 
 def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
@@ -85,7 +86,7 @@ def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
     plant, predictor = loop.plant, loop.predictor
     model = ConstantDelay(plant) if loop.blind else problem_of(plant)
     goes_on = loop.reads_commands or loop.safety or not loop.measurement.perfect
-    parts = {
+    sentences = {
         "observe": laws.observe,
         "model_delay": model.horizon(),  # None too where D_hat = 0
         "predict": predictor and (model.sweep(RK4.step) if loop.blind else predictor.lanes()),
@@ -94,9 +95,9 @@ def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
         "update": laws.update,
         "model": engine.advance_kernel(plant, RK4) if goes_on else None,
     }
-    for own in _own(loop):
-        parts |= own.kernels(plant)
-    return parts
+    for part in _with_kernels(loop):
+        sentences |= part.kernels(plant)
+    return sentences
 
 
 def settings(loop: Loop, laws: Part, **simulated: Any) -> Settings:
@@ -105,8 +106,8 @@ def settings(loop: Loop, laws: Part, **simulated: Any) -> Settings:
     limits, watches = inputs.bounds(plant, loop.input_bounds), laws.memory > 1
     box = plant.ranges(half=0.0)
     half, numbers = np.ptp(box, axis=1) / 2, {"anew": box.mean(axis=1)}
-    for own in _own(loop):
-        numbers |= own.numbers(plant, loop.dt, limits)
+    for part in _with_kernels(loop):
+        numbers |= part.numbers(plant, loop.dt, limits)
     return signals.settings(
         dt=loop.dt, b=laws.b, gamma_dt=laws.gamma * loop.dt,
         reads_commands=loop.reads_commands, stores_commands=loop.reads_commands,
@@ -124,6 +125,6 @@ def sizes(loop: Loop, laws: Part) -> dict[str, int]:
     plant, predictor = loop.plant, loop.predictor
     axes = {"n": plant.n, "m": plant.m, "nx": predictor.nx if predictor else 2, "observer": laws.memory}
     axes |= dict.fromkeys(("past", "filter", "ends", "plan"), 0) | {"outputs": len(outputs(loop))}
-    for own in _own(loop):
-        axes |= own.axes(plant)
+    for part in _with_kernels(loop):
+        axes |= part.axes(plant)
     return axes

@@ -138,8 +138,8 @@ def run(
     steps = loop_checks.samples(samples, shape, round(t_end / dt))
     method, limits = acts.integrator(loop.integrator, plant, loop.real), inputs.bounds(plant, loop.input_bounds)
     past = inputs.past(plant, loop.u0, limits, X0, D)
-    given = D_hat if loop.blind or not plant.declares_delay else None
-    complete = loop.filled(D=D, D_hat=given, X0=X0, adaptation=law, input_bounds=limits)
+    first_D_hat = D_hat if loop.blind or not plant.declares_delay else None
+    complete = loop.filled(D=D, D_hat=first_D_hat, X0=X0, adaptation=law, input_bounds=limits)
     one = Simulation(complete, round(t_end / dt) + 1, every, method, shape, D_hat, past, steps, delays)
     loop_checks.history(plant, one.reach(slice(None))[1], dt)
     with quiet() if progress is False else nullcontext():

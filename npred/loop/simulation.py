@@ -161,8 +161,8 @@ class Simulation:
         loop = self.loop
         if not loop.reads_commands or loop.outlier_limit is None or loop.measurement.observer is not None:
             return False
-        known = loop.plant.declares_delay or (loop.adaptation is None and np.array_equal(loop.D, self.D_hat))
-        exact = known and not loop.blind and not len(self.delays) and loop.integrator == RK4.name
+        knows_D = loop.plant.declares_delay or (loop.adaptation is None and np.array_equal(loop.D, self.D_hat))
+        exact = knows_D and not loop.blind and not len(self.delays) and loop.integrator == RK4.name
         exact = exact and loop.truth is None and loop.disturbance is None and not loop.setpoints
         return not (exact and loop.measurement.perfect) and on_steps(loop.measurement, loop.dt)
 
@@ -203,7 +203,7 @@ class Simulation:
         reads_commands = loop.reads_commands or (plant.declares_delay and not loop.blind)
         arrays = {"X": X, "D": D, "D_hat": np.array(self.D_hat[c]), "held": held, "total": total}
         arrays |= {"D_seen": D.copy() if reads_commands else D}
-        seen = loop.measurement.perfect and not self.refuses
-        arrays |= {"X_hat": X, "Y": X} if seen else {"X_hat": X.copy()}
+        sees_X = loop.measurement.perfect and not self.refuses
+        arrays |= {"X_hat": X, "Y": X} if sees_X else {"X_hat": X.copy()}
         sizes = assembly.sizes(loop, self.law) | {"past": round(loop.measurement.delay / loop.dt) + 1, "clock": 0}
         return State(**signals.memory(signals.STATE, sizes | {"outputs": 0}, D.shape[1], arrays))

@@ -48,7 +48,7 @@ class Watchdog:
         return {"watched": True, "after": self.after, "holds": holds, "rescue": rescue, "jump": jump}
 
     def axes(self, plant: Plant) -> dict[str, int]:
-        """It has no signals of its own."""
+        """It has no signals but those of all loops."""
         return {}
 
     def kernels(self, plant: Plant) -> dict[str, Kernel | Callable[..., None]]:
