@@ -384,7 +384,8 @@ def compared(loop: dict[str, Any], ways: list[str]) -> Iterator[tuple[str, float
     U, counts, start, calls = by_controller(loop)
     seen = {name: int(getattr(on_clock.clock, name)) for name in counts}
     yield "controller", _apart(on_clock.U, U, half) if seen == counts else math.inf
-    if "rig" in ways and loop["plant"].one_delay and "disturbance" not in loop:
+    even = "timing" not in loop or not loop["timing"].jitter  # the rig's plant takes its steps from the samples on
+    if "rig" in ways and even and loop["plant"].one_delay and "disturbance" not in loop:
         yield "rig", _apart(U, by_controller(loop, OnRig)[0], half)
     if "c" in ways:
         yield "c", by_c(start, calls)
