@@ -178,7 +178,8 @@ class Own:
     def __init__(self, loop: dict[str, Any], past: np.ndarray) -> None:
         self.plant, self.X, self.at = loop.get("truth") or loop["plant"], np.array(loop["X0"], dtype=float), 0.0
         self.dt, self.D = loop["dt"], loop["plant"].ratios * loop["D"] / loop["dt"]
-        self.push, self.sent = loop.get("disturbance"), [(-math.inf, past)]
+        before = (-float(k) for k in range(math.ceil(self.D.max()) + 1, 0, -1))  # a step of RK4 ends where each arrives
+        self.push, self.sent = loop.get("disturbance"), [(-math.inf, past), *((at, past) for at in before)]
 
     def go(self, to: float) -> None:
         """RK4 between all moments at which an input switches or a control step begins."""
@@ -218,7 +219,7 @@ class OnRig(Own):
         self.rig.step = self.dt  # as the other plant
 
     def go(self, to: float) -> None:
-        for number, (at, U) in enumerate(self.sent[1:]):
+        for number, (at, U) in enumerate((at, U) for at, U in self.sent if at >= 0):
             self.rig.command(Packet(at * self.dt, number, at * self.dt, U))
         self.X = self.rig.to(to * self.dt).copy()
 
