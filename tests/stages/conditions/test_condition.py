@@ -70,7 +70,7 @@ KEYS = {  # of a loop in a pipeline: a value, and a table in which it makes anot
     "dt": (0.02, {}), "adaptation": ("delay-observer", {}), "gamma": (50.0, {}), "b": (50.0, {"gamma": 5.0}),
     "bounds": ((0.199, 0.301), {"gamma": 500.0}), "input_bounds": ([[-0.2, 0.2]], {}), "u0": ([0.5], {}),
     "actuator": ("history", {}), "observer": ({}, RARE), "watchdog": ({"after": 0.1, "then": "zero"}, RARE),
-    "safety": ({}, {}), "outlier_limit": (0.001, RARE), "max_sample_age": (0.0, RARE),
+    "safety": ({}, {}), "outlier_limit": (0.001, RARE), "max_sample_age": (0.06, RARE | {"timing": {"jitter": 0.4}}),
     "measurement": ({"noise": 0.01}, {}), "truth": ({"drag": 0.4}, {}), "truth_scale": (1.5, {}),
     "disturbance": ({"amplitude": 0.1}, {}), "setpoints": ({"aim": {"at": [0.5], "to": [0.2]}}, {}),
     "timing": ({"lost": 0.5}, {"actuator": "history"}), "integrator": ("euler", {}),
