@@ -107,7 +107,7 @@ def test_without_prediction_a_declared_delay_is_that_number(closed, actuator, me
     assert np.isfinite(declared.X).all() and (declared.infeasible == -1).all()
     np.testing.assert_array_equal(declared.X, told.X)
     np.testing.assert_array_equal(declared.U, told.U)
-    np.testing.assert_array_equal(declared.energy, told.energy)
+    np.testing.assert_allclose(declared.energy, told.energy, rtol=1e-12)  # on a clock summed in another order
     assert closed == bool(np.any(declared.U))
     assert not closed or not declared.D_hat.any()
 
