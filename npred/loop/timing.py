@@ -79,11 +79,12 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
     probability `drop`, never; the first one, at 0, is there at once. A call gets the newest that has arrived.
     """
     steps = np.arange(count)
-    at = steps + timing.jitter * (2 * uniform(timing.seed, loop, steps, CALL) - 1)
-    at[0] = 0.0
-    skipped = uniform(timing.seed, loop, steps, OVERRUN) < timing.overrun
+    at = steps.astype(float)
+    if timing.jitter:
+        at[1:] += timing.jitter * (2 * uniform(timing.seed, loop, steps[1:], CALL) - 1)
+    skipped = happens(timing.overrun, timing.seed, loop, steps, OVERRUN)
     skipped[0] = False
-    lost = uniform(timing.seed, loop, steps, LOST) < timing.lost
+    lost = happens(timing.lost, timing.seed, loop, steps, LOST)
     taken = at[~skipped]
     if measurement.period is not None:  # by the sensors' clock
         period = measurement.period / dt
@@ -92,7 +93,7 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
         taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
         taken = taken[taken <= at[-1] + ROUNDING]
     number = np.arange(len(taken))
-    kept = uniform(measurement.seed, loop, number, DROP) >= measurement.drop
+    kept = ~happens(measurement.drop, measurement.seed, loop, number, DROP)
     if timing.stop_every is not None:
         kept &= taken * dt % timing.stop_every < timing.stop_every - timing.stop
     kept[0] = True
@@ -120,6 +121,11 @@ def on_steps(measurement: Measurement, dt: float | None) -> bool:
 def snapped(steps: np.ndarray | float) -> np.ndarray:
     """Numbers of control steps, whole where they are nearly."""
     return np.where(np.abs(steps - np.round(steps)) <= SNAP, np.round(steps), steps)
+
+
+def happens(share: float, seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:
+    """Whether something of that probability happens, for each number."""
+    return uniform(seed, loop, numbers, purpose) < share if share else np.zeros(len(numbers), dtype=bool)
 
 
 def uniform(seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:
