@@ -181,7 +181,7 @@ static inline void restart_lost(Shape d, const Settings *s, double *observer, do
         nought[l] = 0.0;
     }
     for (int i = 0; i < s->observer_count; i++) {
-        LANES for (int l = 0; l < lanes; l++) {
+        for (int l = 0; l < lanes; l++) {
             nought[l] += 0.0 * observer[i * lanes + l];
         }
     }
