@@ -18,7 +18,6 @@ from npred.cli import app
 from npred.identification.identify import of_log
 from npred.lab import config
 from npred.lab.stages.identify import identify as stage
-from npred.lab.stages.report import html_page
 
 LOG = Path(__file__).parent / "tank_log.csv"
 PLANT = """
@@ -70,10 +69,9 @@ def known(answered: Path, folder: Path) -> Path:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No figures, which take most of the time: a test without it draws the same ones."""
+def undrawn(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor are figures drawn as files: a test without it draws the same ones."""
     monkeypatch.setattr(stage, "write", lambda figure, folder: None)
-    monkeypatch.setattr(html_page, "inline", lambda panel, prefix: "<svg></svg>")
 
 
 def call(*arguments: str) -> Result:
