@@ -124,7 +124,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("store")
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("page", marked([page for page in pages_with("python", "sh") if needs_networks(*page.values)]))
 def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("onnxruntime")
@@ -143,7 +142,6 @@ def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path,
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_every_key_of_a_run_is_told(store: Path, monkeypatch: pytest.MonkeyPatch, extension: Callable[[str], Any]):
     monkeypatch.setenv("NPRED_STORE", str(store))
     done = CliRunner().invoke(app, ["run", str(ROOT / "pipeline" / "smoke.toml"), "-q", "--json"])

@@ -87,7 +87,6 @@ def test_a_network_that_was_trained_with_set_is_loaded_with_the_same_settings(fi
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("undrawn")
 def test_every_network_is_evaluated_timed_drawn_and_exported_but_not_to_c(file: Path, tmp_path: Path):
     pytest.importorskip("onnxruntime")
     sets = ('bench.runtimes=["torch","fused","onnx"]', "bench.dx=[0.1]", "bench.batches=[1]")

@@ -122,7 +122,6 @@ def test_a_pipeline_may_name_the_recording(folder: Path):
     assert "The delay of q by window (s)" in page and "a first-order lag in its place" in page
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
     lines = (folder / "log.csv").read_text().splitlines()
     rows = [lines[0], *(f"{row.split(',')[0]},{row.split(',')[1] and '0.5'},{row.split(',')[2]}" for row in lines[1:])]
@@ -134,7 +133,6 @@ def test_no_pipeline_is_written_where_the_recording_does_not_tell(folder: Path):
     assert not (folder / "still.toml").exists()
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -154,7 +152,6 @@ def test_some_recordings_give_no_pipeline_even_with_accept(
     assert (folder / "log.html").exists() and not (folder / "log.toml").exists()
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_range_is_accepted_and_the_estimate_searches_it(folder: Path):
     done = call("log.csv", *FLAGS, "--longest", "0.4", "--accept")  # shorter than the delay
     assert done.exit_code == 0 and "was accepted as a range" in done.stdout, done.output
@@ -163,7 +160,6 @@ def test_a_range_is_accepted_and_the_estimate_searches_it(folder: Path):
     assert low < loop.D_hat < loop.D < high == pytest.approx(0.4) and loop.adaptation == "delay-observer"
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_several_recordings_are_one_question(folder: Path):
     shutil.copy(LOG, folder / "more.csv")
     answer = json.loads(call("log.csv", "more.csv", *FLAGS, "--hold", "linear", "--json").stdout)
