@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,11 @@ HERE = ROOT / "tests"
 # How long a draw takes says what else the machine does, not what the code does.
 settings.register_profile("npred", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("npred")
+# The modules that take longest, from the longest on
+LONGEST = (
+    "test_docs", "test_units_of_time", "test_c_compilers", "test_chain", "test_recording_to_pipeline", "test_formula",
+    "test_models",
+)  # fmt: skip
 TANK = """
 class Tank:
     states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
@@ -66,9 +72,13 @@ calls = 1000
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The modules with the most slow tests first: side by side, none of them is left to run alone at the end."""
+    """The longest modules first, then those with the most slow tests: side by side, none runs alone at the end.
+
+    All workers need one order, so it depends on nothing that another run may write meanwhile.
+    """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-    items.sort(key=lambda item: -slow[item.path])
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: (places.get(item.path.stem, len(LONGEST)), -slow[item.path]))
 
 
 @pytest.fixture(autouse=True)
@@ -77,6 +87,21 @@ def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("npred.base.progress.PATIENCE", 1e6)  # what takes long differs from machine to machine
     monkeypatch.setattr("npred.base.progress._said", set())  # a line is said once by a process
+
+
+@contextmanager
+def without_drawings() -> Iterator[None]:
+    """Pages are written without drawing their figures, which takes most of a report's time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("npred.lab.stages.report.html_page.inline", lambda panel, prefix: "<svg></svg>")
+        yield
+
+
+@pytest.fixture
+def undrawn() -> Iterator[None]:
+    """The same for a test that asks nothing of the figures of a page: those of the report and of test_figures.py do."""
+    with without_drawings():
+        yield
 
 
 @pytest.fixture

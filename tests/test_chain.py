@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import process_environment
+from conftest import process_environment, without_drawings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
@@ -78,8 +78,8 @@ def command(store: str, *more: str) -> list[str]:
 
 
 def here(folder: Path, *arguments: str) -> Result:
-    """A command in this process, in a folder."""
-    with contextlib.chdir(folder):
+    """A command in this process, in a folder; what runs as a process of its own draws its report."""
+    with contextlib.chdir(folder), without_drawings():
         return CliRunner().invoke(app, [*arguments])
 
 

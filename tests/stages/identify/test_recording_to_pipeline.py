@@ -1,5 +1,6 @@
 """`npred identify`: a recording in, sentences, a page and a pipeline out; each failure is one line."""
 
+import contextlib
 import json
 import shutil
 from dataclasses import replace
@@ -38,18 +39,46 @@ TRUTH = {"D": 0.43, "area": 1.05, "outflow": 0.52}  # of the file that made the 
 FLAGS = ("--plant", "my_plant.py:Tank", "--input", "q=Q1", "--state", "h=level", "--free", "area", "--free", "outflow")
 
 
+def fill(folder: Path) -> Path:
+    """A folder with the plant and the recording."""
+    (folder / "my_plant.py").write_text(PLANT)
+    shutil.copy(LOG, folder / "log.csv")
+    return folder
+
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_plant.py").write_text(PLANT)
-    shutil.copy(LOG, tmp_path / "log.csv")
-    return tmp_path
+    return fill(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The store after the recording was asked with FLAGS, its figures drawn."""
+    here = fill(tmp_path_factory.mktemp("answered"))
+    with contextlib.chdir(here):
+        assert call("log.csv", *FLAGS).exit_code == 0
+    return here / "artifacts"
+
+
+@pytest.fixture
+def known(answered: Path, folder: Path) -> Path:
+    """The folder with that store: the same question is answered from it."""
+    shutil.copytree(answered, folder / "artifacts")
+    return folder
+
+
+@pytest.fixture
+def undrawn(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor are figures drawn as files: a test without it draws the same ones."""
+    monkeypatch.setattr(stage, "write", lambda figure, folder: None)
 
 
 def call(*arguments: str) -> Result:
     return CliRunner().invoke(app, ["identify", *arguments])
 
 
+@pytest.mark.usefixtures("known")
 def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder: Path):
     done = call("log.csv", *FLAGS, "--json")
     assert done.exit_code == 0, done.output
@@ -67,6 +96,7 @@ def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder
     assert answer["sentences"][1] in page and page.count("<svg") >= 6
 
 
+@pytest.mark.usefixtures("known", "undrawn")
 def test_a_second_call_takes_the_answer_from_the_store_and_another_recording_does_not(folder: Path):
     assert call("log.csv", *FLAGS).exit_code == 0
     plan = json.loads(call("log.csv", *FLAGS, "--json", "-v").stdout)
@@ -141,12 +171,14 @@ def test_several_recordings_are_one_question(folder: Path):
     assert len(list((folder / "artifacts" / "identify").iterdir())) == 2
 
 
+@pytest.mark.usefixtures("known")
 def test_the_pipeline_beside_a_plant_in_another_folder_finds_it(folder: Path):
     (folder / "out").mkdir()
     assert call("log.csv", *FLAGS, "-o", "out/tank.toml").exit_code == 0
     assert npred.plants.resolve(*config.load("out/tank.toml").of_plant).name == "Tank"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_no_V(folder: Path):
     (folder / "my_plant.py").write_text(PLANT.split("    def kappa")[0])
     done = call("log.csv", *FLAGS, "--set", "kappa=lqr")
@@ -157,6 +189,7 @@ def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_
     assert CliRunner().invoke(app, ["run", "log.toml", "--dry-run"]).exit_code == 0
 
 
+@pytest.mark.usefixtures("known", "undrawn")
 def test_a_column_in_another_unit_is_said(folder: Path):
     sentence = "in the recording, and 0.5 to 2 in the plant's box: if the units differ, scale its column."
     assert sentence not in call("log.csv", *FLAGS).stdout
@@ -167,6 +200,7 @@ def test_a_column_in_another_unit_is_said(folder: Path):
     assert degrees in call("log.csv", *FLAGS, "--scale", "level=57.3").stdout
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_files_are_named_after_the_pipeline_file_and_the_pipeline_stays(folder: Path):
     (folder / "servo.toml").write_text('plant = "my_plant.py:Tank"\n[identify]\ndata = "log.csv"\n')
     before = (folder / "servo.toml").read_text()
@@ -175,6 +209,7 @@ def test_files_are_named_after_the_pipeline_file_and_the_pipeline_stays(folder: 
     assert (folder / "servo.toml").read_text() == before
 
 
+@pytest.mark.usefixtures("known")
 def test_a_file_of_somebody_else_is_left_alone(folder: Path):
     (folder / "log.toml").write_text('plant = "scalar"\n')
     done = call("log.csv", *FLAGS)
@@ -210,12 +245,14 @@ def test_a_failure_is_one_line(arguments: tuple[str, ...], words: str):
     assert len(done.output.strip().splitlines()) == 1
 
 
+@pytest.mark.usefixtures("known")
 def test_gc_keeps_what_a_recording_has_told(folder: Path):
     assert call("log.csv", *FLAGS).exit_code == 0
     done = CliRunner().invoke(app, ["gc", "--json", "log.toml"])
     assert done.exit_code == 0 and json.loads(done.stdout)["plan"] == [], done.output
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_python_takes_a_path_before_or_after_the_plant_and_answers_as_the_command(folder: Path):
     answer = json.loads(call("log.csv", *FLAGS, "--scale", "level=1.5", "--json").stdout)
     plant = npred.plant("my_plant.py:Tank")
