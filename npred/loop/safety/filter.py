@@ -21,12 +21,17 @@ SPAN = 6.0  # the horizon, times the slowest rate, where that many steps reach s
 RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
 ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
+LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
 
 @cache
 def kernel(plant: Plant, ends: int) -> Kernel:
     """npred.prediction.delays.problem.PROTECT of a plant, for so many predicted states."""
-    n, m, K, of = plant.n, plant.m, plant.limits, Formulas(plant)
+    n, m, K, needed = plant.n, plant.m, plant.limits, scratch(plant, ends)
+    if needed > LARGEST:
+        what = f"expected plans of at most {LARGEST >> 17} MB, got {needed >> 17} MB for {K} limits and {m} inputs"
+        raise ConfigError(f"safety: {what}; declare fewer limits" + ends // 3 * ", or take delay = 0")
+    of = Formulas(plant)
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
@@ -58,11 +63,19 @@ def kernel(plant: Plant, ends: int) -> Kernel:
             step(along), [vector("x", n), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"], results
         ),
     }
-    variables = BLOCKS * m
+    variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
-    sizes |= {"VARIABLES": variables, "ROWS": STEPS * 2 * K * ends + 2 * variables, "ACTIVE": 2 * variables}
+    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
     text = skeleton("nearest.h") + skeleton("protect.h")
-    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called())
+    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
+
+
+def scratch(plant: Plant, ends: int) -> int:
+    """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
+    n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
+    rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
+    abreast = ends * side * (4 * n + 2 * m + 5 * K + variables + 1)
+    return abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
 
 
 def numbers(
