@@ -22,7 +22,7 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
+COARSE = 0.02  # of a size, in float: the least h of a safety filter, and U of most calls that it changes
 ON_BOUND = {"float": 1e-5, "double": setpoint.ROUNDING}  # of a state's or an input's size, for the rest of a set-point
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 WHAT = "export controller"
@@ -68,6 +68,7 @@ def sources(
         "OFFSETS": bool(controller.settings.offsets),
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
+        "PLANS": _single(controller, precision) and controller.safety is not None,
     }
     sizes = _sizes(controller, kernels, variants)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
@@ -208,6 +209,11 @@ def _about(controller: Controller, name: str, real: str, model: str) -> list[str
     ]
 
 
+def _single(controller: Controller, real: str) -> bool:
+    """Whether the export, or a network in it, computes in single precision."""
+    return real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32
+
+
 def _test(controller: Controller, name: str, real: str) -> str:
     """Calls of the controller in Python, which the file's program repeats."""
     test, growth = self_test.designed(controller)
@@ -218,10 +224,12 @@ def _test(controller: Controller, name: str, real: str) -> str:
     vectors = [constant(f"test_{key}", np.ravel(a), real) for key, a in arrays.items()]
     stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{key}", a) for key, a in stamps.items()]
-    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
+    single = _single(controller, real)
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
     if single and controller.safety:
-        limit = max(limit, COARSE)
+        filtered, h = self_test.kept(controller, test).T
+        vectors += [constant("test_filtered", filtered, real), constant("test_kept", h, real)]
+        vectors += [f"#define TEST_COARSE {COARSE}", f"#define TEST_H {float(np.nanmax(np.abs(h))) or 1.0!r}"]
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
     sets = []

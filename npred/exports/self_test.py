@@ -59,12 +59,21 @@ def designed(controller: Controller) -> tuple[Test, float]:
 
 def answers(controller: Controller, test: Test) -> tuple[np.ndarray, np.ndarray]:
     """U (calls, m), NaN where a call is refused, and D_hat (calls,) of a new controller."""
-    player = _Player(controller, test.u)
-    rows = [
-        player.call(s, int(does), t, taken, test.X[s % len(test.X)])
-        for s, (does, t, taken) in enumerate(zip(test.does, test.t, test.taken, strict=True))
-    ]
+    rows = [(U, D_hat) for U, D_hat, _ in _played(controller, test)]
     return np.array([U for U, _ in rows]), np.array([D_hat for _, D_hat in rows])
+
+
+def kept(controller: Controller, test: Test) -> np.ndarray:
+    """Whether the safety filter changed U, and the least h that it predicts, in each call (calls, 2)."""
+    played = (twin.memory.signals for *_, twin in _played(controller, test))
+    return np.array([(z.filtered[0], z.kept[0]) for z in played])
+
+
+def _played(controller: Controller, test: Test) -> Iterator[tuple[np.ndarray, float, Controller]]:
+    """U and D_hat of each call of a new controller, and it."""
+    player = _Player(controller, test.u)
+    for s, (does, t, taken) in enumerate(zip(test.does, test.t, test.taken, strict=True)):
+        yield *player.call(s, int(does), t, taken, test.X[s % len(test.X)]), player.twin
 
 
 def moved(controller: Controller) -> dict[str, float]:
