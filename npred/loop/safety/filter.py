@@ -21,6 +21,7 @@ SPAN = 6.0  # the horizon, times the slowest rate, where that many steps reach s
 RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
 ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
+TINY = 1e-6  # a rate that is none
 LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
 
@@ -106,10 +107,25 @@ def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:
         f_X, f_U = plant.jacobians(X, U)
         A = f_X + f_U @ plant.kappa_jacobian(X)
         values = np.linalg.eigvals(A[np.isfinite(A).all(axis=(-2, -1))])
-    fastest = float(np.quantile(np.abs(values).max(axis=-1), 0.95))
+    fastest = float(np.quantile(np.abs(values).max(axis=-1), 0.95)) if len(values) else 0.0
+    if not fastest > 0:
+        return overall(X, plant.f(X, U))
     try:
         at_rest = np.linalg.eigvals(plant.linearised()[0]).real
     except ConfigError:
         at_rest = np.median(np.sort(values.real, axis=-1), axis=0)
     slowest = float(np.min(-at_rest[at_rest < 0], initial=np.inf))
     return fastest, slowest if np.isfinite(slowest) else fastest / 10
+
+
+def overall(X: np.ndarray, F: np.ndarray) -> tuple[float, float]:
+    """The same where no slope tells it, as of a law that switches between two U: of the linear loop that is nearest to
+    the rates F on all of X, or of the way across X.
+    """
+    fits = np.isfinite(F).all(axis=-1)
+    X, F = X[fits], F[fits]
+    values = np.linalg.eigvals(np.linalg.lstsq(np.column_stack([X, np.ones(len(X))]), F, rcond=None)[0][:-1])
+    across = float(np.max(np.abs(F) / np.ptp(X, axis=0), initial=TINY))
+    fastest = max(float(np.abs(values).max()), across)
+    falling = -values.real[values.real < -TINY]
+    return fastest, float(falling.min(initial=fastest)) if len(falling) else fastest / 10
