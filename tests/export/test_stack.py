@@ -2,6 +2,7 @@
 microcontroller has.
 """
 
+import re
 import subprocess
 
 import numpy as np
@@ -17,6 +18,10 @@ from npred.loop.safety import filter as safety
 from npred.plants import Plant
 
 pytestmark = needs_gcc
+SIZE = """
+#include "npred.h"
+typedef char as_told[sizeof(npred_controller) == %s && sizeof(npred_saved) == %s ? 1 : -1];
+"""
 FRAME = ["-Wframe-larger-than=4096", "-Werror"]
 
 
@@ -43,17 +48,24 @@ def of_joints(count, delay):
     )
 
 
-MADE = {name: TWELVE[name][0] for name in ("plain", "EKF", "guard", "filter", "observer of the delay")}
+MADE = {
+    name: TWELVE[name][0] for name in ("plain", "EKF", "guard", "filter", "declared", "law", "observer of the delay")
+}
 MADE |= {"seven joints": lambda: of_joints(7, 0.02), "twelve joints": lambda: of_joints(12, 0.02)}
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])
 @pytest.mark.parametrize("name", MADE)
-def test_no_function_of_an_export_has_a_frame_above_4_kb(tmp_path, monkeypatch, name, precision):
+def test_no_function_of_an_export_has_a_frame_above_4_kb_and_its_header_tells_its_size(
+    tmp_path, monkeypatch, name, precision
+):
     monkeypatch.setattr(c_controller, "_test", lambda *of: "")  # of twelve joints it takes minutes
     for file, text in zip(("npred.h", "npred.c"), c_controller.sources(MADE[name](), precision=precision), strict=True):
         (tmp_path / file).write_text(text)
     subprocess.run(["gcc", *FLAGS, *FRAME, "-c", "npred.c"], cwd=tmp_path, check=True, timeout=300)
+    told = re.findall(r"takes (\d+) bytes of memory, of which its state is (\d+)", (tmp_path / "npred.h").read_text())
+    (tmp_path / "size.c").write_text(SIZE % told[0])
+    subprocess.run(["gcc", *FLAGS, "-c", "size.c"], cwd=tmp_path, check=True, timeout=300)
 
 
 @pytest.mark.parametrize("count", [1, 7])
