@@ -150,7 +150,7 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
 
 def _bytes(sizes: Mapping[str, int], variants: Mapping[str, bool], real: str) -> str:
     """What the C structs take in memory, where an int64_t is aligned to 8 bytes."""
-    _, *structs = c_files.filled("controller.h", real="npred_real", variants=variants).split("typedef struct {")
+    _, *structs = c_files.filled("controller.h", "npred", "npred_real", variants, {}).split("typedef struct {")
     taken = [40]  # the digest, the checksum, steps and t0
     for struct in structs[:2]:
         arrays = ", ".join(re.findall(r"^ +npred_real (.+?);", struct.split("\n}")[0], re.MULTILINE)).split(", ")
