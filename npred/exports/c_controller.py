@@ -1,6 +1,7 @@
 """A whole controller as C99: the kernels of its control step, a state, and its test."""
 
 import hashlib
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,9 +23,10 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-COARSE = 0.02  # the same of a safety filter in float: the slopes of its plans are differences
+COARSE = 0.02  # of a size, in float: the least h of a safety filter, and U of most calls that it changes
 ON_BOUND = {"float": 1e-5, "double": setpoint.ROUNDING}  # of a state's or an input's size, for the rest of a set-point
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
+FAR = 1e30  # an h of a prediction that may overflow in float
 WHAT = "export controller"
 TAKEN = ("state", "D_hat", "time", "parameters", "one", "u0")  # what other functions of the header are called by
 
@@ -68,14 +70,16 @@ def sources(
         "OFFSETS": bool(controller.settings.offsets),
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
+        "PLANS": _single(controller, precision) and controller.safety is not None,
     }
     sizes = _sizes(controller, kernels, variants)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
+    lines = [*_about(controller, name, precision, model), _bytes(sizes, variants, precision)]
     included = {
         "period": f"#define {name.upper()}_DT {controller.dt!r}",
-        "about": "\n".join(f" * {comment(line)}" for line in _about(controller, name, precision, model)),
+        "about": "\n".join(f" * {comment(line)}" for line in lines),
         "sizes": "\n".join(f"    {name.upper()}_{size} = {value}," for size, value in sizes.items()),
         "kernels": single(text) if precision == "float" else text,
         "settings": _settings(controller, kernels, sizes, name.upper(), precision),
@@ -144,6 +148,18 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
 
 
+def _bytes(sizes: Mapping[str, int], variants: Mapping[str, bool], real: str) -> str:
+    """What the C structs take in memory, where an int64_t is aligned to 8 bytes."""
+    _, *structs = c_files.filled("controller.h", "npred", "npred_real", variants, {}).split("typedef struct {")
+    taken = [40]  # the digest, the checksum, steps and t0
+    for struct in structs[:2]:
+        arrays = ", ".join(re.findall(r"^ +npred_real (.+?);", struct.split("\n}")[0], re.MULTILINE)).split(", ")
+        words = [re.findall(r"\w+", array)[1:] for array in arrays]
+        counts = (math.prod(sizes.get(word.removeprefix("NPRED_")) or int(word) for word in one) for one in words)
+        taken.append(-(-(taken[-1] + np.dtype(PRECISIONS[real]).itemsize * sum(counts)) // 8) * 8)
+    return f"It takes {taken[2]} bytes of memory, of which its state is {taken[1]}."
+
+
 def _settings(
     controller: Controller, kernels: Mapping[str, Kernel], sizes: Mapping[str, int], prefix: str, real: str
 ) -> str:
@@ -208,6 +224,11 @@ def _about(controller: Controller, name: str, real: str, model: str) -> list[str
     ]
 
 
+def _single(controller: Controller, real: str) -> bool:
+    """Whether the export, or a network in it, computes in single precision."""
+    return real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32
+
+
 def _test(controller: Controller, name: str, real: str) -> str:
     """Calls of the controller in Python, which the file's program repeats."""
     test, growth = self_test.designed(controller)
@@ -218,10 +239,14 @@ def _test(controller: Controller, name: str, real: str) -> str:
     vectors = [constant(f"test_{key}", np.ravel(a), real) for key, a in arrays.items()]
     stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{key}", a) for key, a in stamps.items()]
-    single = real == "float" or getattr(bare(controller.predictor), "precision", None) is np.float32  # a network
+    single = _single(controller, real)
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
     if single and controller.safety:
-        limit = max(limit, COARSE)
+        h, filtered, grown = self_test.kept(controller, test)
+        lost = (grown > self_test.GROWTH) | (np.abs(h) > FAR)
+        limit = LIMITS["float"] * max(grown[~lost].max(initial=0.0), 1.0)
+        vectors += [constant("test_filtered", np.where(lost, 2.0, filtered), real), constant("test_kept", h, real)]
+        vectors += [f"#define TEST_COARSE {COARSE}", f"#define TEST_H {float(np.nanmedian(np.abs(h))) or 1.0!r}"]
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
     sets = []

@@ -59,12 +59,33 @@ def designed(controller: Controller) -> tuple[Test, float]:
 
 def answers(controller: Controller, test: Test) -> tuple[np.ndarray, np.ndarray]:
     """U (calls, m), NaN where a call is refused, and D_hat (calls,) of a new controller."""
-    player = _Player(controller, test.u)
-    rows = [
-        player.call(s, int(does), t, taken, test.X[s % len(test.X)])
-        for s, (does, t, taken) in enumerate(zip(test.does, test.t, test.taken, strict=True))
-    ]
+    rows = [(U, D_hat) for U, D_hat, _ in _played(controller, test)]
     return np.array([U for U, _ in rows]), np.array([D_hat for _, D_hat in rows])
+
+
+def kept(controller: Controller, test: Test) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The least h that a safety filter predicts in each call, whether it changes U there, and how much larger an error
+    of the samples is in U or h (calls,).
+    """
+
+    def of(test: Test) -> tuple[np.ndarray, np.ndarray]:
+        rows = [
+            (*U, z.kept[0], z.filtered[0]) for U, _, twin in _played(controller, test) for z in [twin.memory.signals]
+        ]
+        return np.array(rows)[:, :-1], np.array(rows)[:, -1]
+
+    numbers, filtered = of(test)
+    h = numbers[:, -1]
+    sizes = np.append(np.nanmax(np.abs(numbers[:, :-1]), axis=0), np.nanmedian(np.abs(h)))
+    grown = [_grown(numbers, of(turned)[0], sizes) for turned in _turned(test)]
+    return h, filtered, np.maximum(*grown)
+
+
+def _played(controller: Controller, test: Test) -> Iterator[tuple[np.ndarray, float, Controller]]:
+    """U and D_hat of each call of a new controller, and it."""
+    player = _Player(controller, test.u)
+    for s, (does, t, taken) in enumerate(zip(test.does, test.t, test.taken, strict=True)):
+        yield *player.call(s, int(does), t, taken, test.X[s % len(test.X)]), player.twin
 
 
 def moved(controller: Controller) -> dict[str, float]:
@@ -261,12 +282,20 @@ def _measured(controller: Controller, size: float) -> Test:
 
 def _growth(controller: Controller, test: Test) -> float:
     """The largest error of U, of its size, over a relative error of the samples; infinity where one is refused anew."""
-    random, (U, _) = generator(0, "self-test", "growth"), answers(controller, test)
-    size, largest = np.nanmax(np.abs(U), axis=0), 0.0
+    U, _ = answers(controller, test)
+    size = np.nanmax(np.abs(U), axis=0)
+    return max(float(_grown(U, answers(controller, turned)[0], size).max()) for turned in _turned(test))
+
+
+def _turned(test: Test) -> Iterator[Test]:
+    """The test with errors of its samples."""
+    random = generator(0, "self-test", "growth")
     for _ in range(2):
-        turned = test._replace(X=test.X * (1 + TURNED * random.uniform(-1, 1, test.X.shape)))
-        apart = np.abs(answers(controller, turned)[0] - U)
-        if (np.isnan(apart) != np.isnan(U)).any():
-            return np.inf
-        largest = max(largest, float(np.nanmax(apart / np.where(size > 0, size, 1.0))) / TURNED)
-    return largest
+        yield test._replace(X=test.X * (1 + TURNED * random.uniform(-1, 1, test.X.shape)))
+
+
+def _grown(numbers: np.ndarray, turned: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """That of each call, from its numbers and those with such errors."""
+    apart = np.abs(turned - numbers) / np.where(size > 0, size, 1.0) / TURNED
+    apart = np.where(np.isnan(turned) != np.isnan(numbers), np.inf, np.nan_to_num(apart))
+    return apart.max(axis=1)

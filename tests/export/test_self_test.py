@@ -3,6 +3,7 @@
 import subprocess
 
 import numpy as np
+import plants
 import pytest
 from c_controllers import FLAGS, needs_gcc
 from self_tested import TWELVE
@@ -33,8 +34,7 @@ def test_it_moves_all_and_passes_in_both_precisions(tmp_path, name):
     U, D_hat = self_test.answers(controller, test)
     assert growth < self_test.GROWTH and (np.nanmax(U, axis=0) > np.nanmin(U, axis=0)).all()
     assert np.ptp(D_hat) > 0 or not (controller.adaptation or controller.plant.declares_delay)
-    # In float a filter's plan, whose slopes are differences, may differ by more than the file's limit: here by .085.
-    for precision in ("double",) if controller.safety else ("double", "float"):
+    for precision in ("double", "float"):
         written(tmp_path, controller, precision)
         done = own_test(tmp_path)
         assert (done.returncode, precision) == (0, precision), done.stdout
@@ -54,6 +54,21 @@ def test_a_law_of_another_gain_fails(tmp_path, name):
     clipped = "clip(d, s->input_bounds, z->U);\n    if (q->update)"
     written(tmp_path, controller, "double", (clipped, f"z->U[0] *= 1.000001;\n    {clipped}"))
     assert own_test(tmp_path).returncode in (1, 2)
+
+
+FILTERED = {"Cart": (0.3, 0.01), "Pole": (0.12, 0.005), "Lane": (0.15, 0.01), "Elbow": (0.1, 0.01)}  # D, dt
+
+
+@pytest.mark.parametrize("name", FILTERED)
+def test_a_filter_passes_in_float_and_one_of_other_plans_or_limits_fails(tmp_path, name):
+    """Where plans are alike a float may choose another one; where the filter does not act U is the same."""
+    plant, (D, dt) = npred.plant(getattr(plants, name), **{"kappa": "lqr"} if name == "Pole" else {}), FILTERED[name]
+    made = npred.controller(
+        plant, npred.predictor(plant, "rk4", 31), None, dt, D_hat=D, actuator="history", safety=npred.SafetyFilter()
+    )
+    for change in (("", ""), ("*now + added", "*now - added"), ("kept[b] = smaller(", "kept[b] = 0.9f * smaller(")):
+        written(tmp_path, made, "float", change)
+        assert (own_test(tmp_path).returncode == 0) == (not change[0]), change
 
 
 @pytest.mark.slow

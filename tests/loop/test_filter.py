@@ -240,6 +240,28 @@ def test_a_saved_state_has_the_plan():
     assert second.step([0.6, 0.9]) == first.step([0.6, 0.9])
 
 
+@pytest.mark.parametrize(
+    "kappa",
+    [
+        lambda x, t, p, M: [-M.sign(x.x + x.v)],
+        lambda x, t, p, M: [M.where(x.x + x.v > 0, -1.0, M.where(x.x + x.v < 0, 1.0, 0.0))],
+        lambda x, t, p, M: [0.0],
+    ],
+    ids=["sign", "where", "none"],
+)
+def test_a_law_without_slopes_is_filtered_as_any_other(kappa):
+    """A mass has no rate of its own: that of the loop is its law's over the whole box."""
+    plant = Plant("relay", type("Relay", (Cart,), {"kappa": kappa, "safe": lambda x, t, p, M: [0.8 - x.x, 0.8 + x.x]}))
+    X0 = from_box(plant, 60) * 0.7
+    free, loop, first = (
+        loops(plant, X0, safety, 0.1, t_end, 0.01)
+        for safety, t_end in ((None, 6.0), (npred.SafetyFilter(), 6.0), (npred.SafetyFilter(), 0.01))
+    )
+    broken = free.safety[:, 11:].min(axis=(1, 2)) < 0
+    kept, promised = loop.safety[:, 11:].min(axis=(1, 2)) >= 0, first.unkept == 0
+    assert promised.sum() > 50 and kept[promised].all() and (broken & kept).any()
+
+
 class Free(Cart):
     safe = None
 

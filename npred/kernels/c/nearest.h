@@ -6,9 +6,10 @@
  * one does, those soft_i λ_i are small; they are solved for once more, which leaves about soft_i² λ_i. */
 #define PRECISE(double_precision, single) (sizeof(double) > 4 ? (double_precision) : (single)) /* an export may have floats */
 #define ROOM PRECISE(1e-6, 1e-4) /* of soft_i λ_i: above it no point keeps all */
+#define SIDE (VARIABLES + 1) /* of a row: b, then a */
 typedef struct {
-    int rows; /* conditions */
-    double a[ROWS * VARIABLES], b[ROWS], soft[ROWS];
+    double soft[ROWS], lambda[ROWS], G[ACTIVE * ACTIVE], L[ACTIVE * ACTIVE], b[ACTIVE], y[ACTIVE];
+    int rows, active[ACTIVE]; /* conditions */
 } Conditions;
 
 /* λ of the active conditions, by Cholesky's factors of their G. */
@@ -39,40 +40,43 @@ static inline void solve_active(int count, const double *G, const double *b, dou
 }
 
 /* Element (i, j) of G, in the weights w. */
-static inline double gram(const Conditions *q, const double *w, int i, int j)
+static inline double gram(const Conditions *q, const double *rows, const double *w, int i, int j)
 {
     double sum = i == j ? q->soft[i] : 0.0;
     for (int c = 0; c < VARIABLES; c++) {
-        sum += q->a[i * VARIABLES + c] * w[c] * w[c] * q->a[j * VARIABLES + c];
+        sum += rows[i * SIDE + 1 + c] * w[c] * w[c] * rows[j * SIDE + 1 + c];
     }
     return sum;
 }
 
 /* δ of λ. */
-static inline void primal(const Conditions *q, const double *w, const double *lambda, double *delta)
+static inline void primal(const Conditions *q, const double *rows, const double *w, double *delta)
 {
     for (int c = 0; c < VARIABLES; c++) {
         delta[c] = 0.0;
     }
     for (int i = 0; i < q->rows; i++) {
-        for (int c = 0; c < VARIABLES && lambda[i] > 0.0; c++) {
-            delta[c] += w[c] * w[c] * q->a[i * VARIABLES + c] * lambda[i];
+        for (int c = 0; c < VARIABLES && q->lambda[i] > 0.0; c++) {
+            delta[c] += w[c] * w[c] * rows[i * SIDE + 1 + c] * q->lambda[i];
         }
     }
 }
 
-static inline void nearest(const Conditions *q, const double *w, double *delta)
+static inline void nearest(Conditions *q, const double *rows, const double *w, double *delta)
 {
-    double lambda[ROWS] = {0.0}, G[ACTIVE * ACTIVE], L[ACTIVE * ACTIVE], b[ACTIVE], y[ACTIVE];
-    int active[ACTIVE], count = 0;
+    double *const lambda = q->lambda, *const G = q->G, *const L = q->L, *const b = q->b, *const y = q->y;
+    int *const active = q->active, count = 0;
+    for (int i = 0; i < q->rows; i++) {
+        lambda[i] = 0.0;
+    }
     for (int round = 0; round < 3 * ACTIVE && count < ACTIVE; round++) {
         double most_missed = PRECISE(1e-12, 1e-6);
         int worst = -1;
-        primal(q, w, lambda, delta);
+        primal(q, rows, w, delta);
         for (int i = 0; i < q->rows; i++) {
-            double missed = q->b[i] - q->soft[i] * lambda[i];
+            double missed = rows[i * SIDE] - q->soft[i] * lambda[i];
             for (int c = 0; c < VARIABLES; c++) {
-                missed -= q->a[i * VARIABLES + c] * delta[c];
+                missed -= rows[i * SIDE + 1 + c] * delta[c];
             }
             if (!(lambda[i] > 0.0) && missed > most_missed) {
                 most_missed = missed;
@@ -87,9 +91,9 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
             double share = 1.0;
             int kept = 0;
             for (int i = 0; i < count; i++) {
-                b[i] = q->b[active[i]];
+                b[i] = rows[active[i] * SIDE];
                 for (int j = 0; j < count; j++) {
-                    G[i * ACTIVE + j] = gram(q, w, active[i], active[j]);
+                    G[i * ACTIVE + j] = gram(q, rows, w, active[i], active[j]);
                 }
             }
             solve_active(count, G, b, L, y);
@@ -117,7 +121,7 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
         b[i] = q->soft[active[i]] * lambda[active[i]];
         most_left = larger(most_left, b[i]);
         for (int j = 0; j < count; j++) {
-            G[i * ACTIVE + j] = gram(q, w, active[i], active[j]);
+            G[i * ACTIVE + j] = gram(q, rows, w, active[i], active[j]);
         }
     }
     if (most_left < ROOM) {
@@ -126,5 +130,5 @@ static inline void nearest(const Conditions *q, const double *w, double *delta)
             lambda[active[i]] += y[i];
         }
     }
-    primal(q, w, lambda, delta);
+    primal(q, rows, w, delta);
 }

@@ -12,9 +12,9 @@
  * reserve: it keeps h above its floor by TIGHT times the size of h or, if less is left at `ends`, returns to that. A
  * breach of up to SLACK times that size, the more the later it is, is left to later calls, which predict it better.
  * `kept` is the smallest h of `ends`, `filtered` is 1 if U was changed, `unkept` is 1 if no plan has half the reserve. */
-#define SIDE (VARIABLES + 1) /* rollouts of a plan: itself, then one for each variable, which is moved there */
-#define LOOPS (WIDE > 1 ? 8 : 1) /* loops whose law is rolled out side by side */
-#define ABREAST (ENDS * (SIDE > 8 ? SIDE : 8))
+/* SIDE rollouts of a plan: itself, then one for each variable, which is moved there */
+#define LOOPS (WIDE > 1 ? 8 : 1) /* loops whose law is rolled out side by side: no more than SIDE */
+#define ABREAST (ENDS * SIDE)
 #define PASSES 2
 #define TIGHT 2e-3
 #define SLACK 5e-4
@@ -30,15 +30,21 @@ enum { MARGIN = N, STEP_LENGTH, WIDTHS, SIZES = WIDTHS + M, LENGTHS = SIZES + K,
        RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K) /* of the limits at the end and in the middle of a step */
 
-/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, and v. */
+/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, and v. It lies in
+ * the scratch memory of the kernel: it is too large for the stack. */
 typedef struct {
     double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST];
     double below[K * ABREAST], spent[K * ABREAST]; /* how far h is below the margin at `ends`, and below the reserve */
     double rate[N * ABREAST];                      /* rates of the states in the last step */
-    double room[STEPS * ROOMS * ABREAST];          /* h minus its floor, in its sizes, in each step */
+    double y[N * ABREAST], middle[N * ABREAST], added[M * ABREAST];        /* the end and the middle of a step, its v */
+    double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];      /* h there, before it and in its middle */
+    double room[ROWS * SIDE]; /* h minus its floor, in its sizes, in each step; then the conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double edges[BLOCKS];       /* the ends of the blocks, as times from now on; the last is that of the horizon */
+    double plan[VARIABLES], moved[VARIABLES], w[VARIABLES], next[VARIABLES], a[VARIABLES];
+    Conditions q;
 } Rollouts;
+typedef char PART(_fits)[sizeof(Rollouts) <= WORK * sizeof(double) ? 1 : -1];
 
 /* The rooms of step i, from h before it, in its middle and at its end: the minimum of the parabola through these, or for
  * a plan a bound of it that is linear in them. */
@@ -69,8 +75,8 @@ static INLINED void PART(_rooms)(const int count, const int side, const double *
 static INLINED void PART(_roll)(const int count, const int side, const double *restrict p, const double *restrict s,
                                 const double *restrict low, const double *restrict high, Rollouts *r)
 {
-    double y[N * ABREAST], middle[N * ABREAST], v[M * ABREAST], elapsed = 0.0;
-    double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];
+    double *const y = r->y, *const middle = r->middle, *const v = r->added, elapsed = 0.0;
+    double *const h = r->h, *const before = r->before, *const between = r->between;
     int block = 0;
     LANES for (int l = 0; l < count; l++) {
         LIMITS(count, r->x + l, r->t[l], p, before + l);
@@ -82,7 +88,7 @@ static INLINED void PART(_roll)(const int count, const int side, const double *r
     for (int i = 0; i < STEPS; i++) {
         const double length = s[LENGTHS + i];
         double share;
-        while (block + 1 < BLOCKS && r->edges[block] <= elapsed + 1e-9 * length) {
+        while (block + 1 < BLOCKS && r->edges[block] <= elapsed + PRECISE(1e-9, 1e-4) * length) {
             block++;
         }
         share = block + 1 < BLOCKS ? smaller((r->edges[block] - elapsed) / length, 1.0) : 1.0;
@@ -134,7 +140,7 @@ static INLINED void PART(_roll)(const int count, const int side, const double *r
 static inline double PART(_begin)(int count, int at, int lanes, const double *ends, const double *moments, int e, int l,
                                   const double *p, const double *s, const double *U, Rollouts *r)
 {
-    double x[N], h[K], least_h = INFINITY;
+    double *const x = r->y, *const h = r->h, least_h = INFINITY;
     for (int c = 0; c < N; c++) {
         x[c] = r->x[c * count + at] = ends[((ptrdiff_t)e * N + c) * lanes + l];
     }
@@ -177,9 +183,9 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
 }
 
 /* Add a condition a δ >= b on variables with the weights w, as a row of length 1. */
-static inline void condition(Conditions *q, const double *w, const double *a, double b, double soft)
+static inline void condition(Conditions *q, double *rows, const double *w, const double *a, double b, double soft)
 {
-    double length = 0.0;
+    double *const row = rows + q->rows * SIDE, length = 0.0;
     for (int c = 0; c < VARIABLES; c++) {
         length += a[c] * w[c] * a[c] * w[c];
     }
@@ -187,10 +193,10 @@ static inline void condition(Conditions *q, const double *w, const double *a, do
     if (!(length > 1e-12)) {
         return;
     }
+    row[0] = b / length;
     for (int c = 0; c < VARIABLES; c++) {
-        q->a[q->rows * VARIABLES + c] = a[c] / length;
+        row[1 + c] = a[c] / length;
     }
-    q->b[q->rows] = b / length;
     q->soft[q->rows++] = soft;
 }
 
@@ -200,18 +206,18 @@ static inline double PART(_length)(const Rollouts *r, int block)
     return r->edges[block] - (block > 0 ? r->edges[block - 1] : 0.0);
 }
 
-/* The next plan, from conditions that are linear around v; r has the rollouts of v. Returns its distance from v. */
-static inline double PART(_replan)(const Rollouts *r, const double *s, const double *low, const double *high,
+/* The next plan, from conditions that are linear around v; r has the rollouts of v, and the conditions take the place of
+ * their rooms. Returns its distance from v. */
+static inline double PART(_replan)(Rollouts *r, const double *s, const double *low, const double *high,
                                    const double *moved, double *v)
 {
-    const int count = ENDS * SIDE;
-    double w[VARIABLES], next[VARIABLES], a[VARIABLES], farthest = 0.0;
-    Conditions q = {.rows = 0};
+    double *const w = r->w, *const next = r->next, *const a = r->a, farthest = 0.0;
+    r->q.rows = 0;
     for (int j = 0; j < VARIABLES; j++) {
         w[j] = s[WIDTHS + j % M] / sqrt(PART(_length)(r, j / M));
     }
     for (int row = 0; row < STEPS * ROOMS * ENDS; row++) {
-        const double *const room = r->room + row / ENDS * count + row % ENDS * SIDE;
+        const double *const room = r->room + row * SIDE;
         double b = -room[0], reach = 0.0;
         for (int j = 0; j < VARIABLES; j++) {
             a[j] = (room[j + 1] - room[0]) / moved[j];
@@ -219,7 +225,7 @@ static inline double PART(_replan)(const Rollouts *r, const double *s, const dou
             reach += fabs(a[j]) * s[WIDTHS + j % M];
         }
         if (room[0] < reach && room[0] > 0.5 * OVERFLOWN) {
-            condition(&q, w, a, b, SOFT);
+            condition(&r->q, r->room, w, a, b, SOFT);
         }
     }
     for (int j = 0; j < VARIABLES; j++) { /* beyond a bound of U, v has no effect */
@@ -228,14 +234,14 @@ static inline double PART(_replan)(const Rollouts *r, const double *s, const dou
         }
         a[j] = 1.0;
         if (isfinite(low[j % M])) {
-            condition(&q, w, a, smaller(low[j % M] - r->law[2 * j + 1], 0.0), BOUND);
+            condition(&r->q, r->room, w, a, smaller(low[j % M] - r->law[2 * j + 1], 0.0), BOUND);
         }
         a[j] = -1.0;
         if (isfinite(high[j % M])) {
-            condition(&q, w, a, smaller(r->law[2 * j] - high[j % M], 0.0), BOUND);
+            condition(&r->q, r->room, w, a, smaller(r->law[2 * j] - high[j % M], 0.0), BOUND);
         }
     }
-    nearest(&q, w, next);
+    nearest(&r->q, r->room, w, next);
     for (int j = 0; j < VARIABLES; j++) {
         farthest = larger(farthest, fabs(next[j] - v[j]) / s[WIDTHS + j % M]);
         v[j] = next[j];
@@ -278,7 +284,7 @@ static APART double PART(_plan)(int lanes, int l, const double *ends, const doub
                                 Rollouts *r)
 {
     const int count = ENDS * SIDE;
-    double v[VARIABLES], moved[VARIABLES], best = -INFINITY, least_cost = INFINITY, farthest = INFINITY;
+    double *const v = r->plan, *const moved = r->moved, best = -INFINITY, least_cost = INFINITY, farthest = INFINITY;
     PART(_go_on)(lanes, s, plan, r->edges, v);
     for (int pass = 0; pass <= PASSES; pass++) {
         double room = INFINITY, cost = 0.0;
@@ -328,8 +334,7 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
 {
     const int lanes = d.lanes;
     double least_U[M], most_U[M], room[LOOPS];
-    Rollouts r;
-    (void)work;
+    Rollouts *const r = (Rollouts *)work;
     for (int c = 0; c < M; c++) { /* the same in all lanes */
         least_U[c] = low[c * lanes];
         most_U[c] = high[c * lanes];
@@ -337,19 +342,19 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
     for (int l = 0, loops; l < lanes; l += loops) {
         loops = lanes - l >= LOOPS ? LOOPS : 1;
         if (loops == 1) {
-            PART(_alone)(1, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, &r);
+            PART(_alone)(1, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, r);
         } else {
-            PART(_alone)(LOOPS, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, &r);
+            PART(_alone)(LOOPS, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, r);
         }
         for (int b = l; b < l + loops; b++) {
             const int acts = room[b - l] < 0.0;
             double found = 0.0;
             if (acts) {
-                found = PART(_plan)(lanes, b, ends, moments, p, safety, least_U, most_U, U, plan + b, &r);
+                found = PART(_plan)(lanes, b, ends, moments, p, safety, least_U, most_U, U, plan + b, r);
             }
             filtered[b] = 0.0;
             for (int j = 0; j < BLOCKS; j++) {
-                plan[j * lanes + b] = acts ? r.edges[j] : 0.0;
+                plan[j * lanes + b] = acts ? r->edges[j] : 0.0;
             }
             for (int c = 0; c < M && acts; c++) {
                 const double *const v = plan + (BLOCKS + c) * lanes + b;

@@ -21,12 +21,18 @@ SPAN = 6.0  # the horizon, times the slowest rate, where that many steps reach s
 RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
 ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
+TINY = 1e-6  # a rate that is none
+LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
 
 @cache
 def kernel(plant: Plant, ends: int) -> Kernel:
     """npred.prediction.delays.problem.PROTECT of a plant, for so many predicted states."""
-    n, m, K, of = plant.n, plant.m, plant.limits, Formulas(plant)
+    n, m, K, needed = plant.n, plant.m, plant.limits, scratch(plant, ends)
+    if needed > LARGEST:
+        what = f"expected plans of at most {LARGEST >> 17} MB, got {needed >> 17} MB for {K} limits and {m} inputs"
+        raise ConfigError(f"safety: {what}; declare fewer limits" + ends // 3 * ", or take delay = 0")
+    of = Formulas(plant)
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
@@ -58,11 +64,19 @@ def kernel(plant: Plant, ends: int) -> Kernel:
             step(along), [vector("x", n), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"], results
         ),
     }
-    variables = BLOCKS * m
+    variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
-    sizes |= {"VARIABLES": variables, "ROWS": STEPS * 2 * K * ends + 2 * variables, "ACTIVE": 2 * variables}
+    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
     text = skeleton("nearest.h") + skeleton("protect.h")
-    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called())
+    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
+
+
+def scratch(plant: Plant, ends: int) -> int:
+    """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
+    n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
+    rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
+    abreast = ends * side * (4 * n + 2 * m + 5 * K + variables + 1)
+    return abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
 
 
 def numbers(
@@ -93,10 +107,25 @@ def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:
         f_X, f_U = plant.jacobians(X, U)
         A = f_X + f_U @ plant.kappa_jacobian(X)
         values = np.linalg.eigvals(A[np.isfinite(A).all(axis=(-2, -1))])
-    fastest = float(np.quantile(np.abs(values).max(axis=-1), 0.95))
+    fastest = float(np.quantile(np.abs(values).max(axis=-1), 0.95)) if len(values) else 0.0
+    if not fastest > 0:
+        return overall(X, plant.f(X, U))
     try:
         at_rest = np.linalg.eigvals(plant.linearised()[0]).real
     except ConfigError:
         at_rest = np.median(np.sort(values.real, axis=-1), axis=0)
     slowest = float(np.min(-at_rest[at_rest < 0], initial=np.inf))
     return fastest, slowest if np.isfinite(slowest) else fastest / 10
+
+
+def overall(X: np.ndarray, F: np.ndarray) -> tuple[float, float]:
+    """The same where no slope tells it, as of a law that switches between two U: of the linear loop that is nearest to
+    the rates F on all of X, or of the way across X.
+    """
+    fits = np.isfinite(F).all(axis=-1)
+    X, F = X[fits], F[fits]
+    values = np.linalg.eigvals(np.linalg.lstsq(np.column_stack([X, np.ones(len(X))]), F, rcond=None)[0][:-1])
+    across = float(np.max(np.abs(F) / np.ptp(X, axis=0), initial=TINY))
+    fastest = max(float(np.abs(values).max()), across)
+    falling = -values.real[values.real < -TINY]
+    return fastest, float(falling.min(initial=fastest)) if len(falling) else fastest / 10
