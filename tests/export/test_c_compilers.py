@@ -50,6 +50,7 @@ CASES = {
     "two inputs, watchdog, float": (TWELVE["two inputs, watchdog"][0], {"precision": "float"}),
     "observer of the delay": (TWELVE["observer of the delay"][0], {}),
     "filter": (TWELVE["filter"][0], {}),
+    "filter, float": (TWELVE["filter"][0], {"precision": "float"}),
     "EKF with an offset, float": (TWELVE["EKF"][0], {"precision": "float"}),
     "declared delay": (TWELVE["declared"][0], {}),
 }
