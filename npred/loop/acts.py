@@ -6,7 +6,7 @@ A part that is given where it cannot act is refused, whichever way the loop is m
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +22,6 @@ from npred.plants import inputs
 from npred.plants.base import Plant
 from npred.prediction.delays import problem_of
 from npred.prediction.methods import OneStep, Predictor, method
-
-if TYPE_CHECKING:
-    from npred.loop.loop import Loop
 
 MEASURED, HISTORY = "measured", "history"
 
@@ -130,7 +127,7 @@ def refuse(of: Any, names: Collection[str], whole: bool = True) -> None:
                 raise ConfigError(f"{name}: expected {need.words}, got {need.came(of)}; {cure}")
 
 
-def check(loop: "Loop") -> None:
+def check(loop: Any) -> None:
     """Raise ConfigError for a part of the wrong kind, out of range, made for another plant, or that cannot act."""
     plant, truth = loop.plant, loop.truth
     for name, (kind, expected, cure) in KINDS.items():
