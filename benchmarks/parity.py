@@ -1,6 +1,7 @@
 """One description, every way to run it: the largest difference of U, and statuses that differ.
 
     python benchmarks/parity.py [--count 200] [--first 0] [--seed 0] [--ways clock,pipeline,controller,rig,c,fmu]
+        [--adversary]
 
 Random descriptions of a loop (plant, predictor, law, observer, filter, watchdog, gate, ages, jitter, losses, faults,
 set-points, bounds, u0, disturbance, mismatch) are run by npred.simulate as they are, by npred.simulate on a clock
@@ -9,7 +10,7 @@ npred rig in simulated time, and by the exported C and the FMU, which get the sa
 with a sample. The plant of this file, its sensors and the way of the commands share no code with npred: NumPy, event by
 event.
 Differences of U are in the half widths of its bounds, else of its range in the loop. A refused description is
-counted by its words.
+counted by its words. With --adversary new descriptions are made of those that differ most so far.
 """
 
 import collections
@@ -18,6 +19,7 @@ import math
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,6 +75,11 @@ class Bounded:
         return [0.8 - x.x]
 
 
+@cache
+def _plant(name: str) -> npred.plants.Plant:
+    return npred.plant(Bounded if name == "bounded" else name)
+
+
 def described(rng: np.random.Generator) -> dict[str, Any]:
     """A random description: the arguments of npred.simulate."""
 
@@ -80,7 +87,7 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
         return value() if rng.random() < share else None
 
     name = str(rng.choice([*PLANTS, "bounded", "bounded"]))
-    plant, (dt, D) = (npred.plant(Bounded), (0.02, 0.3)) if name == "bounded" else (npred.plant(name), PLANTS[name])
+    plant, (dt, D) = _plant(name), PLANTS.get(name, (0.02, 0.3))
     method, nx = str(rng.choice(["rk4", "heun", "euler"])), int(rng.choice([11, 31]))
     middle = np.array([plant.target(0.0), plant.guess][0 if plant.rests else 1])
     half = np.array([np.ptp(plant.box[s]) / 2 if s in plant.box else 1.0 for s in plant.states])
@@ -400,18 +407,38 @@ def _apart(a: np.ndarray, b: np.ndarray, half: np.ndarray) -> float:
     return float(np.nanmax(np.abs(a - b) / half, initial=0.0))
 
 
+def crossed(
+    pool: list[tuple[float, dict[str, Any]]], fresh: dict[str, Any], rng: np.random.Generator
+) -> dict[str, Any]:
+    """A description near one of the worst of its plant so far: parts of a fresh one, the start and D_hat moved."""
+    near = [loop for _, loop in pool if loop["plant"] is fresh["plant"] and loop["actuator"] == fresh["actuator"]]
+    if not near:
+        return fresh
+    loop = {**near[int(rng.integers(len(near)))]}
+    kept = [name for name in fresh if name in ("plant", "predictor", "dt", "D", "t_end") or rng.random() < 0.8]
+    loop = {name: value for name, value in loop.items() if name in fresh or rng.random() < 0.9}
+    loop |= {name: value for name, value in fresh.items() if name not in kept}
+    loop["X0"] = loop["X0"] * rng.uniform(0.9, 1.1, len(loop["X0"]))
+    return loop if "adaptation" in loop else loop | {"D_hat": loop["D_hat"] * rng.uniform(0.9, 1.1)}
+
+
 if __name__ == "__main__":
-    asked = harness.options(__doc__, {}, count=200, first=0, seed=0, ways="clock,pipeline,controller,rig,c,fmu")
+    asked = harness.options(
+        __doc__, {}, count=200, first=0, seed=0, ways="clock,pipeline,controller,rig,c,fmu", adversary=False
+    )
     worst: dict[str, tuple[float, int]] = {}
     apart, counted, words, ran = (collections.Counter[str]() for _ in range(4))
+    pool: list[tuple[float, dict[str, Any]]] = []
     for number in range(asked.first, asked.first + asked.count):
-        loop = described(np.random.default_rng([asked.seed, number]))
+        loop = described(rng := np.random.default_rng([asked.seed, number]))
+        loop = crossed(pool, loop, rng) if asked.adversary else loop
         try:
             differences = dict(compared(loop, asked.ways.split(",")))
         except NpredError as error:
             words[str(error)[:90]] += 1
             continue
         ran["descriptions"] += 1
+        pool = sorted([*pool, (max(differences.values(), default=0.0), loop)], key=lambda one: -one[0])[:40]
         for way, difference in differences.items():
             worst[way] = max(worst.get(way, (0.0, -1)), (difference, number))
             counted[way] += 1
