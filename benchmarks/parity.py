@@ -19,6 +19,7 @@ import math
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -418,6 +419,8 @@ def crossed(
     kept = [name for name in fresh if name in ("plant", "predictor", "dt", "D", "t_end") or rng.random() < 0.8]
     loop = {name: value for name, value in loop.items() if name in fresh or rng.random() < 0.9}
     loop |= {name: value for name, value in fresh.items() if name not in kept}
+    if "timing" in loop:  # a pipeline has one seed
+        loop["timing"] = replace(loop["timing"], seed=_seed(loop))
     loop["X0"] = loop["X0"] * rng.uniform(0.9, 1.1, len(loop["X0"]))
     return loop if "adaptation" in loop else loop | {"D_hat": loop["D_hat"] * rng.uniform(0.9, 1.1)}
 
