@@ -30,8 +30,9 @@ def rejected(case: Case) -> Verdict:
         return "yes", "not tested: the inputs have no range, from which to take the size of a disturbance"
     bare = [_disturbed(case, push) for push in pushes]
     rests = [_rest(case, push, one) for push, one in zip(pushes, bare, strict=True)]
-    ends = zip(rests, (np.where(one.far, np.nan, one.offset) for one in bare), strict=True)
-    offsets = np.array([offset if rest is None else rest - plant.equilibrium for rest, offset in ends])
+    ends = zip(rests, bare, strict=True)
+    gone = [np.where(one.far, np.nan, one.offset) if rest is None else rest - plant.equilibrium for rest, one in ends]
+    offsets = np.array(gone)
     settled, lost = all(one.fate.settled.all() for one in bare), [rest is None for rest in rests]
     with np.errstate(invalid="ignore"):
         shares = np.nan_to_num(np.abs(offsets / case.width).max(axis=1), nan=np.inf)
