@@ -146,8 +146,10 @@ def check(loop: Any) -> None:
             array_checks.delays(name, array_checks.floats(name, value))
     if loop.actuator not in (MEASURED, HISTORY):
         raise ConfigError(unlisted("actuator", loop.actuator, (MEASURED, HISTORY)))
-    refuse(loop, loop.given)
-    for name, part in vars(loop).items():  # and what it is made of: the law of a watchdog, say
+    names = loop.given
+    refuse(loop, names)
+    for name in names:  # and what it is made of: the law of a watchdog, say
+        part = getattr(loop, name)
         inner = vars(part).items() if is_dataclass(part) else ()
         for label, each in ((name, part), *((f"{name}: {key}", value) for key, value in inner)):
             plant.own(label, each)

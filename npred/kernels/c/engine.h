@@ -140,7 +140,7 @@ static inline void keep(Shape d, INDEX k, INDEX origin, const Settings *s, State
 /* X_hat at control step k from samples of it: Y, or what the model expects where there is none, or where Y is too far
  * from that; then Y is none too. The expected state follows from the last one by the commands, as the controller
  * believes. */
-static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts *q, const Settings *s, State *z, double *work)
+static APART void believe(Shape d, INDEX k, INDEX origin, double t, const Parts *q, const Settings *s, State *z, double *work)
 {
     const double *Y = s->senses ? z->Y : z->X;
     const int lanes = d.lanes;
@@ -173,7 +173,7 @@ static inline void believe(Shape d, INDEX k, INDEX origin, double t, const Parts
 }
 
 /* Let the observer of the delay start again in the lanes where it began, and has come to numbers that are not finite. */
-static inline void restart_lost(Shape d, const Settings *s, double *observer, double *work)
+static APART void restart_lost(Shape d, const Settings *s, double *observer, double *work)
 {
     const ptrdiff_t lanes = d.lanes, last = (s->observer_count - 1) * lanes;
     double *nought = work; /* NaN in a lane with a number that is not finite */
