@@ -101,9 +101,9 @@ def kernels(loop: Loop, laws: Part) -> dict[str, Any]:
 
 
 def settings(loop: Loop, laws: Part, **simulated: Any) -> Settings:
-    """What the kernels are set to; `simulated` are the settings of what is simulated around the controller."""
+    """What the kernels of a loop that is complete are set to; `simulated` is that of what is around the controller."""
     plant, guard, gate = loop.plant, getattr(loop.predictor, "settings", None), loop.outlier_limit
-    limits, watches = inputs.bounds(plant, loop.input_bounds), laws.memory > 1
+    limits, watches = loop.input_bounds, laws.memory > 1
     box = plant.ranges(half=0.0)
     half, numbers = np.ptp(box, axis=1) / 2, {"anew": box.mean(axis=1)}
     for part in _with_kernels(loop):

@@ -67,6 +67,11 @@ class Memory:
         return (len(self.signals.held) - 3 - self.oldest) * self.loop.dt
 
     @property
+    def _next(self) -> int:
+        """The control step of the next call, in the history."""
+        return int(self.clock["at"] + ROUNDING) + 1
+
+    @property
     def parameters(self) -> dict[str, float]:
         """All that the plant's functions read as p, by name."""
         return dict(zip(self.plant.p_names, self.settings.p.tolist(), strict=True))
@@ -95,8 +100,8 @@ class Memory:
         z, phi = self.signals, float(self.signals.phi_before[0])
         remembered: dict[str, Any] = {}
         if self.keeps_commands:
-            k, held, sums = int(self.clock["at"] + ROUNDING) + 1, z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
-            remembered = {"commands": {"k": k, "held": held, "sums": sums}, "clock": self.clock.state()}
+            held, sums = z.held[:, :, 0].tolist(), z.total[:, :, 0].tolist()
+            remembered = {"commands": {"k": self._next, "held": held, "sums": sums}, "clock": self.clock.state()}
         if self.loop.reads_commands:
             remembered["missed"] = int(z.missed[0])
         if z.filter.size:
@@ -127,8 +132,8 @@ class Memory:
 
     def _recall(self, state: Mapping[str, Any]) -> None:
         """Take the commands and the observer of a saved state, where it has them. Raises ConfigError for others."""
-        z, k = self.signals, int(self.clock["at"] + ROUNDING) + 1
-        commands = state.get("commands", {"k": k, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
+        z = self.signals
+        commands = state.get("commands", {"k": self._next, "held": z.held[:, :, 0], "sums": z.total[:, :, 0]})
         missed, clock = state.get("missed", 0), state.get("clock")
         parameters = state.get("parameters", self.parameters)
         observer = [math.nan if value is None else value for value in state.get("observer", z.observer[:, 0])]

@@ -140,15 +140,10 @@ class Simulation:
         return before, before + (longest if loop.plant.declares_delay else 0.0)  # phi(t) = t - D only rises
 
     @cached_property
-    def controls(self) -> dict[str, Any]:
-        """The sentences of the controller, on lanes, traced once for all chunks."""
-        return assembly.kernels(self.loop, self.law)
-
-    @cached_property
     def parts(self) -> dict[str, Any]:
-        """The sentences of a control step: the controller's, and those of the simulated plant and its sensors."""
+        """The sentences of a control step, traced once: the controller's, and the simulated plant's."""
         truth, observer = problem_of(self.loop.real), self.loop.measurement.observer
-        return self.controls | {
+        return assembly.kernels(self.loop, self.law) | {
             "horizon": truth.horizon(),
             "observer": observer and sensing.observed(observer),
             "delay_speed": truth.speed(),
