@@ -432,5 +432,5 @@ class Controller(InNotebook):
         self._recall(state)
         z = self.memory.signals
         z.innovation[:] = z.error[:] = np.nan
-        for signal in (z.fallback, z.kept, z.filtered, z.unkept):
+        for signal in (z.fallback, z.kept, z.filtered, z.unkept, z.promised):
             signal[:] = 0.0

@@ -25,6 +25,7 @@ class Status(NamedTuple):
     fallback, error: whether the guard took the numerical answer, and its estimate of the error of U.
     filtered: whether the safety filter changed U. kept: the smallest h = safe(P, t) of the predicted states.
     unkept: whether it found no U within the bounds that keeps all limits.
+    promised: whether U begins a plan that keeps all limits for good; see docs/safety.md for the conditions.
     """
 
     D_hat: float
@@ -43,6 +44,7 @@ class Status(NamedTuple):
     filtered: bool
     kept: float
     unkept: bool
+    promised: bool
 
 
 def of(memory: Memory) -> Status:
@@ -61,4 +63,5 @@ def of(memory: Memory) -> Status:
         missed=int(z.missed[0]), renewed=int(clock["renewed"]), handed_over=clock["handed"] > 0, offset=offset,
         fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
         kept=float(z.kept[0]) if z.plan.size else math.nan, unkept=z.unkept[0] > 0,
+        promised=z.promised[0] > 0,
     )  # fmt: skip

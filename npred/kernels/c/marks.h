@@ -15,4 +15,7 @@ static inline void mark_step(INDEX k, int lanes, int l, const Settings *s, const
     mark(z->fallback[l], row, lanes, l, s, out->fallbacks, out->fallback);
     mark(z->filtered[l], row, lanes, l, s, out->changes, out->filtered);
     out->unkept[l] += z->unkept[l] > 0.0;
+    if (row < s->row_count) {
+        out->promised[row * lanes + l] = z->promised[l] > 0.0;
+    }
 }

@@ -56,9 +56,9 @@ class SafetyFilter:
 
     def axes(self, plant: "Plant") -> dict[str, int]:
         """The axes of its signals."""
-        from npred.loop.safety.filter import BLOCKS
+        from npred.loop.safety.filter import remembered
 
-        return {"ends": self.ends, "plan": BLOCKS * (plant.m + 1)}
+        return {"ends": self.ends, "plan": remembered(plant)}
 
     def kernels(self, plant: "Plant") -> "dict[str, Kernel]":
         """npred.prediction.delays.problem.PROTECT of the plant."""

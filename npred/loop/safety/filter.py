@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from npred.base.errors import ConfigError
-from npred.formulas import Value, tape
+from npred.formulas import Value, programs, tape
 from npred.kernels.formula import Formulas, vector
 from npred.kernels.kernel import Kernel, made, skeleton
 from npred.plants import inputs
@@ -22,6 +22,8 @@ RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
 ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
 TINY = 1e-6  # a rate that is none
+MANY, AHEAD = 8, (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0)  # brakes, and how far ahead they rest, over the slowest rate
+LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
 LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
 
@@ -36,12 +38,16 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
+    w, timed = trace.vector("w", m), not plant.rests or programs.depends([*trace.safe(x, t)], [t])
+
+    def within(U: np.ndarray) -> np.ndarray:
+        clipped = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(U, low, high, strict=True)]
+        return np.array(clipped, dtype=object)
 
     def along(x: np.ndarray, before: np.ndarray, t: Value) -> np.ndarray:
         """f with kappa in its bounds, which is held: it is as late as half a control step."""
-        raw = trace.kappa(x - lag * before, t - lag) + v
-        U = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(raw, low, high, strict=True)]
-        return trace.f(x, np.array(U, dtype=object), t)
+        U = within(within(trace.kappa(x - lag * before, t - lag) + w) + v)
+        return trace.f(x, U, t)
 
     def step(rate: Callable[..., np.ndarray]) -> list[Value]:
         """The state at the end of a step of RK4, and in its middle (Hairer, Nørsett, Wanner, II.6.22)."""
@@ -61,13 +67,15 @@ def kernel(plant: Plant, ends: int) -> Kernel:
             step(lambda x, before, t: trace.f(x, u, t)), [vector("x", n), vector("u", m), "t", "h"], results
         ),
         "ALONG": of.function(
-            step(along), [vector("x", n), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"], results
+            step(along), [vector("x", n), vector("w", m), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"],
+            results,
         ),
     }
     variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
-    text = skeleton("nearest.h") + skeleton("protect.h")
+    sizes |= {"PARAMETERS": len(plant.p_names), "TIMES": LATE if timed else 1}
+    text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
     return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
 
 
@@ -75,8 +83,15 @@ def scratch(plant: Plant, ends: int) -> int:
     """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
-    abreast = ends * side * (4 * n + 2 * m + 5 * K + variables + 1)
-    return abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
+    abreast = ends * side * (4 * n + 3 * m + 5 * K + variables + 3)
+    ball = (2 * n + 1) * (3 * n + 2 * m + K) + 4 * n * n + 2 * m
+    planned = abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
+    return planned + ball + ends * (n + 1) + m + remembered(plant)
+
+
+def remembered(plant: Plant) -> int:
+    """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
+    return 2 * BLOCKS * (plant.m + 1) + plant.m + len(plant.p_names) + 2
 
 
 def numbers(
@@ -86,7 +101,7 @@ def numbers(
     X = plant.drawn("limits", DRAWN)
     box, (fastest, slowest) = np.ptp(X, axis=0), rates(plant, X)
     lengths = np.minimum(dt * GROWTH ** np.maximum(np.arange(STEPS) - HELD + 1, 0), max(LONGEST / fastest, dt))
-    held, total = HELD * dt, min(lengths.sum(), horizon or SPAN / slowest)
+    longest, held, total = lengths[-1], HELD * dt, min(lengths.sum(), horizon or SPAN / slowest)
     lengths[HELD:] *= max(total - held, dt) / lengths[HELD:].sum()
     ends = np.cumsum(lengths)
     edges = np.maximum(ends[-1] / 2.0 ** np.arange(BLOCKS)[::-1], dt * np.arange(1, BLOCKS + 1))
@@ -97,7 +112,10 @@ def numbers(
     with np.errstate(all="ignore"):
         sizes = np.nanmedian(np.abs(plant.safe(X)), axis=0)
     sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
-    return np.array([*(ERROR * box), margin, dt, *widths, *sizes, *lengths, *decay, *ramp, *edges])
+    ahead = np.array(AHEAD) / slowest
+    return np.array(
+        [*(ERROR * box), margin, dt, longest, LATER * ends[-1], *widths, *sizes, *ahead, *lengths, *decay, *ramp, *edges]
+    )
 
 
 def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:
