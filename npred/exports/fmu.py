@@ -318,6 +318,8 @@ def _outputs(controller: Controller) -> Iterator[Variable]:
     if controller.safety:
         yield flag("filtered", "true if the safety filter changed U")
         yield flag("unkept", "true if no U within the bounds was found that keeps all limits")
+        yield flag("promised", "true if U begins a plan that keeps all limits for good")
+        yield output("withdrawn", "WITHDRAWN", "how often a promise ended")
         yield output("kept", "KEPT", "smallest limit h of the predicted states; safe at 0 or above")
     for name in plant.inputs if controller.settings.offsets else ():
         about = "estimate of the constant that is added to the command"

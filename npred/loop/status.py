@@ -25,7 +25,8 @@ class Status(NamedTuple):
     fallback, error: whether the guard took the numerical answer, and its estimate of the error of U.
     filtered: whether the safety filter changed U. kept: the smallest h = safe(P, t) of the predicted states.
     unkept: whether it found no U within the bounds that keeps all limits.
-    promised: whether U begins a plan that keeps all limits for good; see docs/safety.md for the conditions.
+    promised: whether U begins a plan that keeps all limits for good; see docs/safety.md for the conditions. withdrawn: how often
+        such a promise ended.
     """
 
     D_hat: float
@@ -45,6 +46,7 @@ class Status(NamedTuple):
     kept: float
     unkept: bool
     promised: bool
+    withdrawn: int
 
 
 def of(memory: Memory) -> Status:
@@ -64,4 +66,5 @@ def of(memory: Memory) -> Status:
         fallback=bool(z.fallback[0]), error=float(z.error[0]), filtered=z.filtered[0] > 0,
         kept=float(z.kept[0]) if z.plan.size else math.nan, unkept=z.unkept[0] > 0,
         promised=z.promised[0] > 0,
+        withdrawn=int(z.withdrawn[0]),
     )  # fmt: skip

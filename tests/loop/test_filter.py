@@ -44,12 +44,12 @@ def filtered(plant, safety, P, U, dt=0.01):
     B, bounds = len(P), np.array(plant.input_bounds)
     lanes = [np.array(a.T, order="C") for a in (P, U)]
     ends, low, high = lanes[0][None].copy(), *(np.repeat(bounds[:, [k]], B, axis=1) for k in (0, 1))
-    (kept, changed), unkept = np.empty((2, B)), np.zeros(B)
+    (kept, changed, *promise), unkept = np.empty((4, B)), np.zeros(B)
     plan = np.zeros((safety.axes(plant)["plan"], B))
     numbers = safety.numbers(plant, dt, bounds)["safety"]
     protect = safety.kernels(plant)["protect"]
-    protect(ends, np.zeros((1, B)), plant.p, numbers, low, high, lanes[1], plan, kept, changed, unkept)
-    return lanes[1].T, plan.T, kept, changed, unkept
+    protect(ends, np.zeros((1, B)), plant.p, numbers, low, high, lanes[1], plan, kept, changed, unkept, *promise)
+    return lanes[1].T, plan.T[:, : grid.BLOCKS * (plant.m + 1)], kept, changed, unkept
 
 
 def least_h(plant, x, U, dt, seconds):

@@ -46,6 +46,8 @@ static inline State npred_state(npred_controller *self, const npred_real *u, con
     state.kept = self->kept;
     state.filtered = self->filtered;
     state.unkept = self->unkept;
+    state.promised = self->promised;
+    state.withdrawn = self->withdrawn;
     state.low = self->low;
     state.high = self->high;
     state.D_moved = self->D_moved;
@@ -362,6 +364,8 @@ void npred_get_status(const npred_controller *self, npred_status *status)
 #if PROTECTS
     status->filtered = self->filtered[0] > 0;
     status->unkept = self->unkept[0] > 0;
+    status->promised = self->promised[0] > 0;
+    status->withdrawn = (int32_t)self->withdrawn[0];
     status->kept = self->kept[0];
 #endif
 }

@@ -80,7 +80,8 @@ typedef struct {
     npred_real sample[NPRED_N_OUTPUTS], fate[NPRED_N_OUTPUTS];
 #endif
 #if PROTECTS
-    npred_real kept[1], filtered[1], unkept[1], low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
+    npred_real kept[1], filtered[1], unkept[1], promised[1], withdrawn[1];
+    npred_real low[NPRED_M_INPUTS], high[NPRED_M_INPUTS], D_moved[NPRED_M_INPUTS];
     npred_real ends[NPRED_ENDS * NPRED_N_STATES], moments[NPRED_ENDS];
 #endif
 #if TUNABLE
@@ -104,12 +105,13 @@ typedef struct {
  * handed_over: 1 if the watchdog gives U.
  * fallback: 1 if the guard replaced the network's answer; error: the guard's estimate of the error of U.
  * filtered: 1 if the safety filter changed U; unkept: 1 if it found no U within the bounds that keeps all limits;
- * kept: the smallest limit h of the state that is predicted for the time when U acts. */
+ * kept: the smallest limit h of the state that is predicted for the time when U acts;
+ * promised: 1 if U begins a plan that keeps all limits for good; withdrawn: how often that ended. */
 typedef struct {
     npred_real D_hat, D_hat_spread, error;
     double age;
     npred_real innovation[NPRED_N_OUTPUTS], offset[NPRED_M_INPUTS];
-    int32_t late, refused, missed, renewed, handed_over, fallback, filtered, unkept, at_bound;
+    int32_t late, refused, missed, renewed, handed_over, fallback, filtered, unkept, promised, withdrawn, at_bound;
     npred_real kept;
 } npred_status;
 #endif

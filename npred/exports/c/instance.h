@@ -314,6 +314,8 @@ static void read_status(Instance *self)
 #ifdef AT_FILTERED
     values[AT_FILTERED] = status.filtered;
     values[AT_UNKEPT] = status.unkept;
+    values[AT_PROMISED] = status.promised;
+    values[AT_WITHDRAWN] = status.withdrawn;
     values[AT_KEPT] = (double)status.kept;
 #endif
 #ifdef AT_OFFSET

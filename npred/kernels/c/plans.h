@@ -9,7 +9,7 @@
 #define DIP 5e-3           /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
 #define OVERFLOWN -1e6     /* sizes of h: the room of a rollout that is not finite */
 #define BOX(s, c) (1e6 * (s)[c]) /* the width of the box; s has what a predicted state may err by */
-enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K, LENGTHS = AHEAD + MANY,
+enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K, LENGTHS = AHEAD + MANY,
        DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
 #define AROUND (2 * N + 1) /* a point and two beside it in each direction */
@@ -25,11 +25,11 @@ typedef struct {
     double edges[BLOCKS], v[VARIABLES];
 } Plan;
 
-/* What a loop remembers: the plan that its next search begins with, and the one that is promised: is there one, its blocks,
- * its w, and its parameters. */
+/* What a loop remembers: the plan that its next search begins with, and the one that is promised: is there one, how often
+ * was there none any more, its blocks, its w, and its parameters. */
 typedef struct {
     Plan last;
-    double promised;
+    double promised, withdrawn;
     Plan kept;
     double w[M], p[PARAMETERS + 1];
 } Memory;

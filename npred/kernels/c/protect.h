@@ -81,9 +81,28 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
         for (int e = 0; e < ENDS; e++) {
             room[b] = smaller(room[b], r->least[b * ENDS + e]);
         }
-        rests[b] = room[b] >= 0.0;
-        for (int e = 0; e < ENDS && rests[b]; e++) {
-            rests[b] = r->strict[b * ENDS + e] >= 0.0 && PART(_rests)(b * ENDS + e, count, p, s, low, high, r);
+        rests[b] = 0;
+    }
+    for (int last = STEPS, moves = s[STILL] > 0.0; moves; last += TAIL / PARTS) {
+        moves = 0;
+        for (int b = 0; b < loops; b++) {
+            int is_kept = room[b] >= 0.0 && !rests[b];
+            for (int e = 0; e < ENDS && is_kept; e++) {
+                is_kept = r->strict[b * ENDS + e] >= 0.0;
+            }
+            rests[b] = rests[b] || is_kept;
+            for (int e = 0; e < ENDS && is_kept; e++) {
+                rests[b] = rests[b] && PART(_rests)(b * ENDS + e, count, p, s, low, high, r);
+            }
+            moves = moves || (is_kept && !rests[b]);
+        }
+        if (last >= STEPS + TAIL) {
+            break;
+        }
+        if (moves && loops == 1) {
+            PART(_roll_one)(0, last, last + TAIL / PARTS, p, s, low, high, r);
+        } else if (moves) {
+            PART(_roll_many)(0, last, last + TAIL / PARTS, p, s, low, high, r);
         }
     }
 }
@@ -251,10 +270,13 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
         found = PART(_plan)(p, s, low, high, r);
         r->plan = r->memory.last;
         PART(_first)(r, s, low, high, r->now, U);
-        if (found > ENOUGH && (PART(_holds)(NULL, ENOUGH, p, s, low, high, r->now, r) ||
+        if (found > ENOUGH && s[STILL] > 0.0 && (PART(_holds)(NULL, ENOUGH, p, s, low, high, r->now, r) ||
                                PART(_brakes)(0, p, s, low, high, U, r))) {
             return found;
         }
+    }
+    if (!(s[STILL] > 0.0)) {
+        return found;
     }
     for (int c = 0; c < M; c++) {
         other[c] = within(r->now[c], low[c], high[c]);
@@ -272,7 +294,8 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
 
 static inline void KERNEL(Shape d, const double *ends, const double *moments, const double *p, const double *safety,
                           const double *low, const double *high, double *U, double *plan, double *kept,
-                          double *filtered, double *unkept, double *promised, double *work)
+                          double *filtered, double *unkept, double *promised,
+                          double *withdrawn, double *work)
 {
     const int lanes = d.lanes;
     double least_U[M], most_U[M], room[LOOPS], next[M];
@@ -292,11 +315,12 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
         for (int b = l; b < l + loops; b++) {
             const int is_kept = kept[b] >= safety[MARGIN], acts = room[b - l] < 0.0;
             double *const memory = (double *)&r->memory;
-            double found;
+            double found, had;
             PART(_meet)(lanes, b, ends, moments, U, p, r);
             for (int i = 0; i < (int)REMEMBERED; i++) {
                 memory[i] = plan[i * lanes + b];
             }
+            had = r->memory.promised;
             for (int c = 0; c < M; c++) {
                 next[c] = within(U[c * lanes + b], least_U[c], most_U[c]);
             }
@@ -312,11 +336,16 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             if (!acts) {
                 r->memory.last.edges[0] = 0.0;
             }
+            unkept[b] = found < ENOUGH || !is_kept ? 1.0 : unkept[b];
+            if (unkept[b] > 0.0) {
+                r->memory.promised = 0.0;
+            }
+            r->memory.withdrawn += had > r->memory.promised ? 1.0 : 0.0;
+            promised[b] = r->memory.promised;
+            withdrawn[b] = r->memory.withdrawn;
             for (int i = 0; i < (int)REMEMBERED; i++) {
                 plan[i * lanes + b] = memory[i];
             }
-            unkept[b] = found < ENOUGH || !is_kept ? 1.0 : unkept[b];
-            promised[b] = r->memory.promised > 0.0 && is_kept && !(unkept[b] > 0.0) ? 1.0 : 0.0;
         }
     }
 }

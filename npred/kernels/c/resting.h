@@ -8,11 +8,13 @@
  * on the ball. U is to be clipped on all of it or nowhere. What F, kappa and h do on the ball is measured at the ends of
  * its axes, of which the root of the sum of squares is the largest change of a linear function, times SURE.
  *
- * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at. */
+ * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at. A loop that never comes to
+ * rest, as one that tracks, is not STILL. */
 #define DOUBLINGS 24 /* of the number of control steps that S sums over: none more would be a rest */
 #define SURE 1.5
 #define NEARBY PRECISE(1e-4, 1e-2)   /* of the box: for slopes */
 #define SMALLEST PRECISE(1e-6, 1e-2) /* radius of a ball */
+#define LARGEST 0.5                  /* the same; where the loop moves with time, more is no rest */
 
 /* F, kappa + w and h at the points of the ball, at time t. */
 static INLINED void PART(_onward)(const int count, double t, const double *p, const double *s, const double *low,
@@ -207,12 +209,16 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
     for (int i = 0; i < TIMES; i++) {
         double d[N];
         if (i > 0) {
-            PART(_onward)(AROUND, t + s[LATER] * (double)i / (double)(TIMES - 1), p, s, low, high, b);
+            PART(_onward)(1, t + s[LATER] * (double)i / (double)(TIMES - 1), p, s, low, high, b);
         }
         for (int c = 0; c < N; c++) {
-            d[c] = b->y[c * AROUND] - x[c];
+            d[c] = b->y[i > 0 ? c : c * AROUND] - x[c];
+            b->x[c] = x[c];
         }
         radius = larger(radius, PART(_distance)(b, s, d) / slack);
+    }
+    if (TIMES > 1 && !(radius <= LARGEST)) {
+        return 0;
     }
     PART(_axes)(b);
     PART(_surround)(b, s, x, b->T, radius);

@@ -99,7 +99,7 @@ static inline void protect(Shape d, INDEX k, double part, double t, const Parts 
         }
     }
     q->protect(d, z->ends, z->moments, s->p, s->safety, z->low, z->high, z->U, z->plan, z->kept, z->filtered, z->unkept,
-               z->promised, work);
+               z->promised, z->withdrawn, work);
 }
 
 /* U and phi at `part` of control step k and time t, from X_hat and from u, which is measured or read from the stored

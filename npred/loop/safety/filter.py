@@ -23,6 +23,7 @@ ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
 TINY = 1e-6  # a rate that is none
 MANY, AHEAD = 8, (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0)  # brakes, and how far ahead they rest, over the slowest rate
+OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
 LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
 LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
@@ -91,7 +92,7 @@ def scratch(plant: Plant, ends: int) -> int:
 
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
-    return 2 * BLOCKS * (plant.m + 1) + plant.m + len(plant.p_names) + 2
+    return 2 * BLOCKS * (plant.m + 1) + plant.m + len(plant.p_names) + 3
 
 
 def numbers(
@@ -114,8 +115,17 @@ def numbers(
     sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
     ahead = np.array(AHEAD) / slowest
     return np.array(
-        [*(ERROR * box), margin, dt, longest, LATER * ends[-1], *widths, *sizes, *ahead, *lengths, *decay, *ramp, *edges]
+        [*(ERROR * box), margin, dt, longest, LATER * ends[-1], still(plant, X, ends[-1]), *widths, *sizes, *ahead, *lengths, *decay, *ramp, *edges]
     )
+
+
+def still(plant: Plant, X: np.ndarray, horizon: float) -> bool:
+    """Whether the loop no longer depends on time, at the latest after OVER horizons."""
+    if plant.rests:
+        return True
+    with np.errstate(all="ignore"):
+        F = [np.hstack([plant.f(X, U := plant.kappa(X, t), t), U]) for t in OVER * horizon * np.linspace(1, 2, LATE)]
+    return bool(np.allclose(F, F[0], rtol=1e-9, atol=1e-9 * np.abs(F[0]).max()))
 
 
 def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:

@@ -37,7 +37,7 @@ CORRECT_BY = "Y, t, p, gate, law, &memory, &innovation, &spread"
 OUTPUT = "X, t, p, &Y"  # the outputs that an observer of the state gets, one lane
 ESTIMATE = "k, origin, dt, D_seen, held, &Y, &X_hat"  # observers of the state in Python: X_hat in place, and Y
 # U, changed where the loop that follows, from the states predicted for the moments when U acts, would break a limit
-PROTECT = "ends, moments, p, safety, low, high, &U, &plan, &kept, &filtered, &unkept, &promised"
+PROTECT = "ends, moments, p, safety, low, high, &U, &plan, &kept, &filtered, &unkept, &promised, &withdrawn"
 CURES = {  # the cure for each part that does not serve a plant
     "picard": "use rk4",
     "semi_implicit": "use rosenbrock",
