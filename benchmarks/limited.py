@@ -1,21 +1,22 @@
-"""Plants with limits and bounded inputs, of benchmarks/promises.py: far aims, doors, moved set-points, curves ahead.
+"""Plants with limits, of benchmarks/promises.py: far aims, doors, set-points that move, curves ahead.
 
-Inputs are so small that a brake may take longer than the law's time constants. `before` is the input before t = 0.
+The inputs of all but three are bounded; a brake may take longer than the law's time constants.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import plants
 from plants import declared, derived
 
 import npred
-from npred.plants import Plant
+from npred.plants import Plant, inputs
 
 
 @dataclass(frozen=True)
 class Case:
-    """A plant, its delay, how wrong D_hat may be; size is that of h, `moves` the set-points, `aim` where one may go."""
+    """A plant and its delay; size is that of h, `moves` its set-points, `aim` the range in which one may move."""
 
     name: str
     plant: Plant
@@ -28,17 +29,25 @@ class Case:
 
     @property
     def delay(self) -> float:
+        """How wrong D_hat may be: control steps."""
         return self.dt * max(round(self.D / self.dt / 10), 1)
 
     @property
-    def before(self) -> Any:
+    def bounds(self) -> np.ndarray:
+        """Of U, (m, 2); where a plant has none, 3 from what U is before t = 0."""
+        bounds = inputs.widest(self.plant, inputs.bounds(self.plant, None))
+        return np.where(np.isfinite(bounds), bounds, self.before[:, None] + np.array([-3.0, 3.0]))
+
+    @property
+    def before(self) -> np.ndarray:
+        """U before t = 0, (m,)."""
         return self.plant.u_target(0.0)
 
 
-def mass(aim: float, safe: Any, *box: Any, name: str = "Mass") -> Plant:
+def mass(aim: float, safe: Any, *box: Any) -> Plant:
     """A mass with |u| <= 1, whose law is fast beside that."""
     return npred.plant(declared(
-        name, "x v", "u", lambda x, u, t, p, M: [x.v, u.u], box, (-1.0, 1.0), aim=("x", aim), guess=(aim, 0.0),
+        "Mass", "x v", "u", lambda x, u, t, p, M: [x.v, u.u], box, (-1.0, 1.0), aim=("x", aim), guess=(aim, 0.0),
         kappa=lambda x, t, p, M: [-25.0 * (x.x - p.aim) - 10.0 * x.v], safe=safe,
     ))  # fmt: skip
 
@@ -227,7 +236,10 @@ def cases() -> dict[str, Case]:
         Case("oscillator", npred.plant(Oscillator, kappa="lqr"), 0.2, 10.0, 1.5),
         Case("unstable", npred.plant(Unstable), 0.2, 6.0),
         Case("cubic", limited(plants.Cubic, (-5.0, 5.0)), 0.2, 6.0),
-        Case("tank", limited(plants.Tank, (-30.0, 0.0)), 2.0, 15.0, 4.0, 0.05),
+        Case("free cubic", npred.plant(plants.Cubic), 0.6, 6.0),
+        Case("free arm", npred.plant(arm), 0.1, 6.0, 0.3),
+        Case("clock", npred.plant(plants.Clock), 0.3, 10.0),
+        Case("tank", limited(plants.Tank, (-30.0, 0.0)), 2.0, 60.0, 4.0, 0.05),
         Case("round", npred.plant(Round), 0.2, 15.0),
         Case(
             "joint",

@@ -13,7 +13,7 @@ control step; for the plants in SYSTEMS the dynamics and h are written here anew
 - `brake`: --braked starts from 1.5 times the box that are within the limits when the first command acts. Of those from
   which an optimal control problem of full knowledge (CasADi, IPOPT) keeps 0.1 % of the size and ends at a rest, within
   the bounds of U and with the first U held for a control step: the share that is promised.
-- `wrong`: promised and broken with D anywhere in D_hat ± delay, with an EKF and noise, with calls that jitter.
+- `wrong`: promised and broken with D some control steps off, with an EKF and noise, with calls that jitter.
 - `adversary`: CMA-ES chooses the start, the input before t = 0 as steps of equal length, when a set-point moves, and
   where to; it makes the least h of promised loops as small as it can. The worst one is integrated once more.
 """
@@ -29,7 +29,6 @@ from limited import Case, cases
 
 import npred
 from npred.base.progress import quiet
-from npred.plants import inputs
 
 FINE = 4  # steps of RK4 in a control step
 ROUNDING = 1e-9  # of the size of h
@@ -37,8 +36,10 @@ REST = 0.02  # of half a box: what a state at rest moves by in the last tenth of
 SIZE, GENERATIONS, WIDTH = 12, 15, 0.3  # of a population; the spread that it begins with
 PIECES = 4  # of the input before t = 0
 OUTSIDE = 10.0  # what a candidate that is not promised counts at least
+JITTER = 0.3  # of a control step: how early or late a call comes
 SAME = 1e-5  # of half a box: what npred's steps of RK4 differ from finer ones by, at most
-SPARE = 1e-3  # of the size of h: what a brake must keep
+SPARE, WANTED = 1e-3, 2e-2  # of the size of h: what a brake must keep, and tries to
+RESTS = 1e-3  # of half a box, per unit of time: what a state moves by where a brake ends
 
 
 class System(NamedTuple):
@@ -126,13 +127,13 @@ def onward(case: Case, Z: np.ndarray, u: np.ndarray, span: Any, count: int = 1) 
     return Z, np.min(rooms, axis=0)
 
 
-def sound(case: Case, Z: np.ndarray, u: np.ndarray, spans: Any) -> np.ndarray:
+def sound(case: Case, Z: np.ndarray, u: np.ndarray, spans: Any, same: float = SAME) -> np.ndarray:
     """The least h over its size on the way from each (X, t) (..., N + 1, n + 1) to the next, with inputs (..., N, m);
     -inf where finer steps do not lead there.
     """
     ends, least = onward(case, Z[..., :-1, :], u, spans)
     off = np.abs(ends - Z[..., 1:, :])[..., :-1] / harness.half_widths(case.plant)
-    return np.where((off < SAME).all(axis=-1), least, -np.inf)
+    return np.where((off < same).all(axis=-1), least, -np.inf)
 
 
 def length(case: Case) -> float:
@@ -169,7 +170,7 @@ def onwards(rooms: np.ndarray) -> np.ndarray:
 def recorded(case: Case, loop: Any) -> np.ndarray:
     """The same as `replayed`, of the states of npred's own loop."""
     rooms = np.where(np.isnan(loop.safety), -np.inf, loop.safety).min(axis=-1) / case.size
-    late = math.ceil(case.D / case.dt - 1e-9)
+    late = math.ceil(case.D / case.dt + JITTER - 1e-9)
     return np.column_stack([onwards(rooms)[:, late:], np.full((len(rooms), late), np.inf)])
 
 
@@ -245,7 +246,7 @@ def grid(case: Case) -> tuple[np.ndarray, np.ndarray]:
     pieces = [case.dt]
     while sum(pieces) < total:
         pieces.append(min(1.2 * pieces[-1], total / 15))
-    parts = [math.ceil(piece / max(total / 120, case.dt)) for piece in pieces]
+    parts = [math.ceil(piece / max(total / 160, case.dt)) for piece in pieces]
     return np.repeat(np.divide(pieces, parts), parts), np.repeat(np.arange(len(pieces)), parts)
 
 
@@ -261,7 +262,9 @@ def brake(case: Case) -> Callable[[np.ndarray], bool]:
     def f(z: Any) -> Any:
         return ca.vertcat(*plant.call("f", ca.vertsplit(z[:-1]), ca.vertsplit(u), z[-1], plant.p, M), 1.0)
 
-    following = ca.Function("following", [x, u, t, h], [harness.rk4(f, ca.vertcat(x, t), h)[:-1]])
+    following = ca.Function(
+        "following", [x, u, t, h], [harness.rk4(f, harness.rk4(f, ca.vertcat(x, t), h / 2), h / 2)[:-1]]
+    )
     rate = ca.Function("rate", [x, u, t], [f(ca.vertcat(x, t))[:-1] / half])
     room = ca.Function("room", [x, t], [ca.vertcat(*plant.call("safe", ca.vertsplit(x), None, t, plant.p, M))])
     problem = ca.Opti()
@@ -272,13 +275,17 @@ def brake(case: Case) -> Callable[[np.ndarray], bool]:
     problem.subject_to(missed >= 0)
     after = following.map(N)(X[:, :-1], held, times[None, :-1], lengths[None])
     problem.subject_to(ca.vec((X[:, 1:] - after) / ca.repmat(half, 1, N)) == 0)
-    problem.subject_to(ca.vec(room.map(N + 1)(X, times[None])) / case.size >= SPARE - missed)
-    problem.subject_to(rate(X[:, -1], U[:, -1], times[-1]) == 0)
-    bounds = inputs.widest(plant, inputs.bounds(plant, None))
-    for c, (low, high) in enumerate(bounds):
+    problem.subject_to(ca.vec(room.map(N + 1)(X, times[None])) / case.size >= WANTED - missed)
+    problem.subject_to(problem.bounded(-RESTS, rate(X[:, -1], U[:, -1], times[-1]), RESTS))
+    for c, (low, high) in enumerate(case.bounds):
         problem.subject_to(problem.bounded(low, U[c, :], high))
-    problem.minimize(1e3 * missed + 1e-3 * ca.sumsqr((U - ca.repmat(U[:, -1], 1, U.shape[1])) / np.ptp(bounds, axis=1)))
-    problem.solver("ipopt", {"print_time": 0, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}})
+    problem.minimize(
+        1e3 * missed + 1e-3 * ca.sumsqr((U - ca.repmat(U[:, -1], 1, U.shape[1])) / np.ptp(case.bounds, axis=1))
+    )
+    problem.solver(
+        "ipopt",
+        {"print_time": 0, "show_eval_warnings": False, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 200}},
+    )
 
     def keeps(state: np.ndarray) -> bool:
         problem.set_value(start, state)
@@ -292,9 +299,8 @@ def brake(case: Case) -> Callable[[np.ndarray], bool]:
                 found = problem.solve()
             except RuntimeError:
                 continue
-            if found.value(missed) < 1e-6:
-                path, sent = (np.reshape(found.value(a), a.shape) for a in (X, held))
-                return sound(case, np.column_stack([path.T, times]), sent.T, lengths).min() >= 0
+            path, sent = (np.reshape(found.value(a), a.shape) for a in (X, held))
+            return sound(case, np.column_stack([path.T, times]), sent.T, lengths, 10 * SAME).min() >= SPARE
         return False
 
     return keeps
@@ -310,7 +316,8 @@ def braked(every: dict[str, Case], asked: Any) -> Iterator[list[Any]]:
         inside = np.flatnonzero((case.plant.safe(Z[:, :-1], case.D) >= 0).all(axis=-1))[: asked.braked]
         first, keeps = loops(case, X0[inside], npred.SafetyFilter(), case.dt), brake(case)
         has, can = promised(first, first)[:, 0], np.array([keeps(z[:-1]) for z in Z[inside]], dtype=bool)
-        yield [name, len(inside), can.sum(), (has & can).sum(), f"{has[can].mean():.1%}", (has & ~can).sum()]
+        both = (has & can).sum()
+        yield [name, len(inside), can.sum(), both, f"{both / max(can.sum(), 1):.1%}", (has & ~can).sum()]
 
 
 # what is not known
@@ -329,7 +336,7 @@ def wrong(every: dict[str, Case], asked: Any) -> Iterator[list[Any]]:
                 "observer": npred.observers.EKF(plant, R=noise**2, outputs=plant.states),
                 "measurement": npred.Measurement(noise=noise),
             }),
-            (npred.SafetyFilter(delay=max(case.delay, case.dt)), {"timing": npred.Timing(jitter=0.3)}),
+            (npred.SafetyFilter(delay=max(case.delay, case.dt)), {"timing": npred.Timing(jitter=JITTER)}),
         )  # fmt: skip
         line = [name]
         for safety, parts in ways:
@@ -347,7 +354,7 @@ def wrong(every: dict[str, Case], asked: Any) -> Iterator[list[Any]]:
 def candidate(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
     """The start (1, n), the input before t = 0 (PIECES, m) and the set-points that z in [0, 1]^k stands for."""
     n, (least, most) = case.plant.n, harness.box(case.plant)
-    low, high = inputs.widest(case.plant, inputs.bounds(case.plant, None)).T
+    low, high = case.bounds.T
     before, moves = low + z[n:-2].reshape(PIECES, -1) * (high - low), case.moves
     if case.aim:
         name, low, high = case.aim
