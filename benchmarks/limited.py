@@ -64,11 +64,12 @@ def designed(*of: Any, **parts: Any) -> Plant:
     return npred.plant(declared(*of, **parts), kappa="lqr")
 
 
-def model(name: str, of: str, **parts: Any) -> Plant:
+def model(name: str, of: str, *box: Any, **parts: Any) -> Plant:
     """One of benchmarks/plants.py's forty, with the law of its linearisation."""
     one = plants.MODELS[of]
     return designed(
-        name, " ".join(one.box), " ".join(one.inputs), lambda x, u, t, p, M: one.f(x, u, M), [*one.box.values()],
+        name, " ".join(one.box), " ".join(one.inputs), lambda x, u, t, p, M: one.f(x, u, M),
+        box or [*one.box.values()],
         *one.inputs.values(), **parts,
     )  # fmt: skip
 
@@ -225,7 +226,7 @@ def cases() -> dict[str, Case]:
         Case("crane", npred.plant(Crane, kappa="lqr"), 0.2, 20.0, 0.12),
         Case(
             "beam",
-            model("Beam", "ball and beam", aim=("r", 0.5), guess=(0.5, 0.0),
+            model("Beam", "ball and beam", (-0.5, 0.5), (-0.6, 0.6), aim=("r", 0.5), guess=(0.5, 0.0),
                   safe=lambda x, t, p, M: [0.55 - x.r, 0.55 + x.r]), 0.15, 8.0, 0.5,
         ),
         Case(
