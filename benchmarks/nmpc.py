@@ -47,8 +47,8 @@ import acados
 import casadi as ca
 import harness
 import numpy as np
-from limits import OfCasadi
 from plants import Arm, derived
+from promises import OfCasadi
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 import npred
