@@ -34,9 +34,9 @@ class Case:
 
     @property
     def bounds(self) -> np.ndarray:
-        """Of U, (m, 2); where a plant has none, 3 from what U is before t = 0."""
+        """Of U, (m, 2); where a plant has none, 1.5 from what U is before t = 0."""
         bounds = inputs.widest(self.plant, inputs.bounds(self.plant, None))
-        return np.where(np.isfinite(bounds), bounds, self.before[:, None] + np.array([-3.0, 3.0]))
+        return np.where(np.isfinite(bounds), bounds, self.before[:, None] + np.array([-1.5, 1.5]))
 
     @property
     def before(self) -> np.ndarray:

@@ -35,7 +35,7 @@ ROUNDING = 1e-9  # of the size of h
 REST = 0.02  # of half a box: what a state at rest moves by in the last tenth of the time
 SIZE, GENERATIONS, WIDTH = 12, 15, 0.3  # of a population; the spread that it begins with
 PIECES = 4  # of the input before t = 0
-OUTSIDE = 10.0  # what a candidate that is not promised counts at least
+OUTSIDE, FAR = 10.0, 1e6  # what a candidate that is not promised counts at least, and one that is lost more
 JITTER = 0.3  # of a control step: how early or late a call comes
 SAME = 1e-4  # of half a box: what a step of RK4 may differ from finer ones by
 SPARE, WANTED = 1e-3, 2e-2  # of the size of h: what a brake must keep, and tries to
@@ -369,7 +369,7 @@ def tried(case: Case, z: np.ndarray) -> tuple[float, Any]:
     X0, before, moves = candidate(case, z)
     parts = {"u0": lambda t: past(case, before, t), "setpoints": moves}
     loop, first = (loops(case, X0, npred.SafetyFilter(), t_end, **parts) for t_end in (None, case.dt))
-    least, P = recorded(case, loop), promised(loop, first)[0]
+    least, P = np.maximum(recorded(case, loop), -FAR), promised(loop, first)[0]
     return (least[0, P.argmax()], loop) if P.any() else (OUTSIDE - min(least[0, 0], 0.0), None)
 
 
