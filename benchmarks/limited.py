@@ -34,9 +34,9 @@ class Case:
 
     @property
     def bounds(self) -> np.ndarray:
-        """Of U, (m, 2); where a plant has none, 3 from what U is before t = 0."""
+        """Of U, (m, 2); where a plant has none, 1.5 from what U is before t = 0."""
         bounds = inputs.widest(self.plant, inputs.bounds(self.plant, None))
-        return np.where(np.isfinite(bounds), bounds, self.before[:, None] + np.array([-3.0, 3.0]))
+        return np.where(np.isfinite(bounds), bounds, self.before[:, None] + np.array([-1.5, 1.5]))
 
     @property
     def before(self) -> np.ndarray:
@@ -237,8 +237,8 @@ def cases() -> dict[str, Case]:
         Case("oscillator", npred.plant(Oscillator, kappa="lqr"), 0.2, 10.0, 1.5),
         Case("unstable", npred.plant(Unstable), 0.2, 6.0),
         Case("cubic", limited(plants.Cubic, (-5.0, 5.0)), 0.2, 6.0),
-        Case("free cubic", npred.plant(plants.Cubic), 0.6, 6.0),
-        Case("free arm", npred.plant(arm), 0.1, 6.0, 0.3),
+        Case("steep", npred.plant(plants.Cubic), 0.6, 6.0),
+        Case("arm", npred.plant(arm), 0.1, 6.0, 0.3),
         Case("clock", npred.plant(plants.Clock), 0.3, 10.0),
         Case("tank", limited(plants.Tank, (-30.0, 0.0)), 2.0, 60.0, 4.0, 0.05),
         Case("round", npred.plant(Round), 0.2, 15.0),

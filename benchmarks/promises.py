@@ -35,9 +35,9 @@ ROUNDING = 1e-9  # of the size of h
 REST = 0.02  # of half a box: what a state at rest moves by in the last tenth of the time
 SIZE, GENERATIONS, WIDTH = 12, 15, 0.3  # of a population; the spread that it begins with
 PIECES = 4  # of the input before t = 0
-OUTSIDE = 10.0  # what a candidate that is not promised counts at least
+OUTSIDE, FAR = 10.0, 1e6  # what a candidate that is not promised counts at least, and one that is lost more
 JITTER = 0.3  # of a control step: how early or late a call comes
-SAME = 1e-5  # of half a box: what npred's steps of RK4 differ from finer ones by, at most
+SAME = 1e-4  # of half a box: what a step of RK4 may differ from finer ones by
 SPARE, WANTED = 1e-3, 2e-2  # of the size of h: what a brake must keep, and tries to
 RESTS = 1e-3  # of half a box, per unit of time: what a state moves by where a brake ends
 
@@ -113,6 +113,7 @@ def rates(case: Case) -> tuple[Callable[..., np.ndarray], Callable[..., np.ndarr
     return (lambda X, u, t: rows(own.f(first(X), first(u)))), (lambda X, t: rows(own.h(first(X), t)))
 
 
+@np.errstate(all="ignore")
 def onward(case: Case, Z: np.ndarray, u: np.ndarray, span: Any, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(X, t) a `span` (...) later, in FINE `count` steps of RK4, and the least h on the way over its size."""
     (f, safe), count = rates(case), FINE * count
@@ -127,13 +128,14 @@ def onward(case: Case, Z: np.ndarray, u: np.ndarray, span: Any, count: int = 1) 
     return Z, np.min(rooms, axis=0)
 
 
-def sound(case: Case, Z: np.ndarray, u: np.ndarray, spans: Any, same: float = SAME) -> np.ndarray:
+@np.errstate(all="ignore")
+def sound(case: Case, Z: np.ndarray, u: np.ndarray, spans: Any) -> np.ndarray:
     """The least h over its size on the way from each (X, t) (..., N + 1, n + 1) to the next, with inputs (..., N, m);
     -inf where finer steps do not lead there.
     """
     ends, least = onward(case, Z[..., :-1, :], u, spans)
     off = np.abs(ends - Z[..., 1:, :])[..., :-1] / harness.half_widths(case.plant)
-    return np.where((off < same).all(axis=-1), least, -np.inf)
+    return np.where((off < SAME).all(axis=-1), least, -np.inf)
 
 
 def length(case: Case) -> float:
@@ -156,8 +158,7 @@ def replayed(case: Case, loop: Any, D: Any, before: np.ndarray) -> np.ndarray:
     early = np.array([past(case, before, (k + 0.5) * case.dt) for k in range(-late.max(), 0)])
     u = np.where((acts < 0)[..., None], early[np.minimum(acts, -1)], np.take_along_axis(loop.U, acts[..., None], 1))
     Z = np.concatenate([loop.X, np.broadcast_to(loop.t[:, None], (*loop.X.shape[:2], 1))], axis=-1)
-    with np.errstate(all="ignore"):
-        least = onwards(sound(case, Z, u, case.dt))
+    least = onwards(sound(case, Z, u, case.dt))
     padded = np.column_stack([least, np.full((len(least), late.max() + 1), np.inf)])
     return np.take_along_axis(padded, steps + late, axis=1)
 
@@ -191,10 +192,10 @@ def promised(loop: Any, first: Any) -> np.ndarray:
     return np.broadcast_to(first.unkept[:, None] == 0, loop.filtered.shape)
 
 
+@np.errstate(all="ignore")
 def rests(case: Case, loop: Any) -> np.ndarray:
     """Whether each loop is at rest over the last tenth of the time (B,)."""
-    with np.errstate(all="ignore"):
-        moved = np.ptp(loop.X[:, -len(loop.t) // 10 :], axis=1)
+    moved = np.ptp(loop.X[:, -len(loop.t) // 10 :], axis=1)
     return (moved <= REST * harness.half_widths(case.plant)).all(axis=-1)
 
 
@@ -301,7 +302,7 @@ def brake(case: Case) -> Callable[[np.ndarray], bool]:
             except RuntimeError:
                 continue
             path, sent = (np.reshape(found.value(a), a.shape) for a in (X, held))
-            return sound(case, np.column_stack([path.T, times]), sent.T, lengths, 10 * SAME).min() >= SPARE
+            return sound(case, np.column_stack([path.T, times]), sent.T, lengths).min() >= SPARE
         return False
 
     return keeps
@@ -368,7 +369,7 @@ def tried(case: Case, z: np.ndarray) -> tuple[float, Any]:
     X0, before, moves = candidate(case, z)
     parts = {"u0": lambda t: past(case, before, t), "setpoints": moves}
     loop, first = (loops(case, X0, npred.SafetyFilter(), t_end, **parts) for t_end in (None, case.dt))
-    least, P = recorded(case, loop), promised(loop, first)[0]
+    least, P = np.maximum(recorded(case, loop), -FAR), promised(loop, first)[0]
     return (least[0, P.argmax()], loop) if P.any() else (OUTSIDE - min(least[0, 0], 0.0), None)
 
 

@@ -45,7 +45,7 @@ def test_a_loop_is_replayed_with_each_delay_and_any_earlier_input():
     for k, late in enumerate((28, 34)):
         np.testing.assert_allclose(least[k, 0], loop.safety[k, late:].min(), atol=1e-4)
     assert (np.diff(least[:, :-34], axis=1) >= 0).all() and np.isinf(least[:, -28:]).all()
-    other = replace(loop, U=loop.U + 0.01)
+    other = replace(loop, U=loop.U + 0.1)
     assert (promises.replayed(case, other, D, before)[:, 0] == -np.inf).all()
 
 
