@@ -25,13 +25,13 @@ typedef struct {
     double edges[BLOCKS], v[VARIABLES];
 } Plan;
 
-/* What a loop remembers: the plan that its next search begins with, and the one that is promised: is there one, how often
- * was there none any more, its blocks, its w, and its parameters. */
+/* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised, 0.5 if
+ * it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and the next state. */
 typedef struct {
     Plan last;
     double promised, withdrawn;
     Plan kept;
-    double w[M], p[PARAMETERS + 1];
+    double w[M], p[PARAMETERS + 1], next[N];
 } Memory;
 #define REMEMBERED (sizeof(Memory) / sizeof(double))
 
@@ -43,6 +43,7 @@ typedef struct {
     double rate[N * ABREAST];                      /* rates of the states in the last step */
     double y[N * ABREAST], middle[N * ABREAST], added[M * ABREAST];        /* the end and the middle of a step, its v */
     double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];      /* h there, before it and in its middle */
+    double other[TIMED * K * ABREAST + 1];
     double least[ABREAST], strict[ABREAST]; /* of rollouts without rows the smallest room so far, and without a reserve */
     double room[ROWS * SIDE]; /* h minus its floor, in its sizes, in each step; then the conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
@@ -92,6 +93,22 @@ static INLINED void PART(_rooms)(const int count, const int side, int reserved, 
             const double room = smaller(one, two);
             r->least[a % count] = smaller(r->least[a % count], room);
             r->strict[a % count] = smaller(r->strict[a % count], room + reserve);
+        }
+    }
+}
+
+/* Limits that depend on time may have their worst between two samples: h in the middle and at the end is the least of
+ * that of neighbouring states and times. */
+static INLINED void PART(_between)(const int count, double begin, double end, const double *restrict p, Rollouts *r)
+{
+    const double *const states[] = {r->x, r->middle, r->middle, r->y}, middle = 0.5 * (begin + end);
+    for (int i = 0; i < 4 && TIMED; i++) {
+        double *const h = i < 2 ? r->between : r->h;
+        LANES for (int l = 0; l < count; l++) {
+            LIMITS(count, states[i] + l, r->t[l] + (i == 1 ? begin : i == 2 ? end : middle), p, r->other + l);
+        }
+        for (int a = 0; a < K * count; a++) {
+            h[a] = smaller(h[a], r->other[a]);
         }
     }
 }
@@ -161,6 +178,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
         LANES for (int l = 0; l < count; l++) {
             LIMITS(count, y + l, r->t[l] + elapsed, p, r->h + l);
         }
+        PART(_between)(count, elapsed - length, elapsed, p, r);
         for (int a = 0; a < N * count; a++) {
             r->rate[a] = (y[a] - r->x[a]) / length;
             r->x[a] = y[a];

@@ -17,9 +17,20 @@
  * call then finds it once more, wherever kappa or a set-point has gone. Set-points are so approached as far as such plans
  * reach (command governors: Garone, Di Cairano, Kolmanovsky, Automatica 75 (2017) 306). */
 #define ENOUGH (-0.5 * TIGHT) /* room of a plan that has half its reserve */
-#define WORN (-0.95 * TIGHT)  /* room of a remembered plan, which may use its reserve */
+#define WORN (-TIGHT) /* room of a plan that is kept, which may use its reserve */
 #define TAIL 192              /* steps beyond the grid in which a plan is to come to rest, in PARTS */
 #define PARTS 6
+#define FOLLOWED PRECISE(1e-4, 1e-3) /* of the box: what a state may be off a plan that led to it */
+
+/* The smallest room of plan b from all ends; one that breaks a limit has none, whatever its reserve. */
+static inline double PART(_room)(const Rollouts *r, int b)
+{
+    double room = INFINITY;
+    for (int e = b * ENDS; e < (b + 1) * ENDS; e++) {
+        room = smaller(room, r->strict[e] >= 0.0 ? r->least[e] : OVERFLOWN);
+    }
+    return room;
+}
 
 /* Roll plans on until one rests: the one of these with the most room, or -1. `count` rollouts are those of all ends. */
 static INLINED int PART(_until_rest)(const int plans, int reserved, double room, const double *p, const double *s,
@@ -29,11 +40,8 @@ static INLINED int PART(_until_rest)(const int plans, int reserved, double room,
         int best = -1, left = 0;
         double most = room;
         for (int b = 0; b < plans; b++) {
-            double least_room = INFINITY;
+            const double least_room = PART(_room)(r, b);
             int rests = 1;
-            for (int e = 0; e < ENDS; e++) {
-                least_room = smaller(least_room, r->least[b * ENDS + e]);
-            }
             left += least_room > room;
             for (int e = 0; e < ENDS && rests; e++) {
                 rests = least_room > most && PART(_rests)(b * ENDS + e, plans * ENDS, p, s, low, high, r);
@@ -214,17 +222,20 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     return best >= 0;
 }
 
-/* Whether r->plan, with w and the parameters p, keeps the limits with that room after U, and rests; it is kept. */
-static APART int PART(_holds)(const double *w, double room, const double *p, const double *s, const double *low,
-                              const double *high, const double *U, Rollouts *r)
+/* Roll out r->plan, with w and the parameters p, after U: 1 if it keeps the limits with that room and rests, then it is
+ * kept; 0.5 if it keeps them on the grid; else 0. */
+static APART double PART(_holds)(const double *w, double room, const double *p, const double *s, const double *low,
+                                 const double *high, const double *U, Rollouts *r)
 {
+    double least_room;
     PART(_begin_plan)(1, p, s, U, w, r);
     PART(_roll_one)(1, 0, STEPS, p, s, low, high, r);
+    least_room = PART(_room)(r, 0);
     if (PART(_until_rest)(1, 1, room, p, s, low, high, r) < 0) {
-        return 0;
+        return least_room > room ? 0.5 : 0.0;
     }
     PART(_keep)(w, p, r);
-    return 1;
+    return 1.0;
 }
 
 /* U in the first control step of r->plan, of kappa + w. */
@@ -239,18 +250,28 @@ static inline void PART(_first)(const Rollouts *r, const double *s, const double
     }
 }
 
-/* Whether the plan that was promised still holds; U is its first one. */
+/* Go on with the plan that is kept, if it still has room; U is its first one. It is promised if it rests, or was before
+ * and the state is the one that it led to: what is beyond the grid is known from then. */
 static APART int PART(_goes_on)(const double *s, const double *low, const double *high, double *U, Rollouts *r)
 {
     const Memory before = r->memory;
-    double law[M];
+    double law[M], holds;
+    int follows = before.promised >= 1.0;
     PART(_go_on)(s, &before.kept, &r->plan);
     LAW(1, r->ends, r->moments[0], before.p, law);
     for (int c = 0; c < M; c++) {
         law[c] += before.w[c];
     }
     PART(_first)(r, s, low, high, law, U);
-    return PART(_holds)(before.w, WORN, before.p, s, low, high, law, r);
+    holds = PART(_holds)(before.w, WORN, before.p, s, low, high, law, r);
+    for (int c = 0; c < N; c++) {
+        follows = follows && fabs(r->ends[c] - before.next[c]) <= FOLLOWED * BOX(s, c);
+    }
+    if (holds > 0.0) {
+        PART(_keep)(before.w, before.p, r);
+        r->memory.promised = follows ? 1.0 : holds;
+    }
+    return holds > 0.0;
 }
 
 /* Choose U of a loop that is within its limits, whose law alone has that room, and rests or not: U of a plan, or else of
@@ -270,7 +291,7 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
         found = PART(_plan)(p, s, low, high, r);
         r->plan = r->memory.last;
         PART(_first)(r, s, low, high, r->now, U);
-        if (found > ENOUGH && s[STILL] > 0.0 && (PART(_holds)(NULL, ENOUGH, p, s, low, high, r->now, r) ||
+        if (found > ENOUGH && s[STILL] > 0.0 && (PART(_holds)(NULL, ENOUGH, p, s, low, high, r->now, r) >= 1.0 ||
                                PART(_brakes)(0, p, s, low, high, U, r))) {
             return found;
         }
@@ -281,15 +302,17 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
     for (int c = 0; c < M; c++) {
         other[c] = within(r->now[c], low[c], high[c]);
     }
-    if (PART(_brakes)(0, p, s, low, high, other, r) || (had && PART(_goes_on)(s, low, high, other, r)) ||
-        PART(_brakes)(1, p, s, low, high, other, r)) {
-        for (int c = 0; c < M; c++) {
-            U[c] = other[c];
+    if (!PART(_brakes)(0, p, s, low, high, other, r)) {
+        const int goes_on = had && PART(_goes_on)(s, low, high, other, r);
+        r->memory.promised = goes_on ? r->memory.promised : 0.0;
+        if (r->memory.promised < 1.0 && !PART(_brakes)(1, p, s, low, high, other, r) && !goes_on) {
+            return found;
         }
-        return 0.0;
     }
-    r->memory.promised = 0.0;
-    return found;
+    for (int c = 0; c < M; c++) {
+        U[c] = other[c];
+    }
+    return 0.0;
 }
 
 static inline void KERNEL(Shape d, const double *ends, const double *moments, const double *p, const double *safety,
@@ -340,8 +363,9 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             if (unkept[b] > 0.0) {
                 r->memory.promised = 0.0;
             }
-            r->memory.withdrawn += had > r->memory.promised ? 1.0 : 0.0;
-            promised[b] = r->memory.promised;
+            r->memory.withdrawn += had >= 1.0 && r->memory.promised < 1.0 ? 1.0 : 0.0;
+            promised[b] = r->memory.promised >= 1.0 ? 1.0 : 0.0;
+            STEP(1, r->ends, next, r->moments[0], safety[STEP_LENGTH], p, r->memory.next, r->y);
             withdrawn[b] = r->memory.withdrawn;
             for (int i = 0; i < (int)REMEMBERED; i++) {
                 plan[i * lanes + b] = memory[i];

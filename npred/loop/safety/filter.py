@@ -39,7 +39,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
-    w, timed = trace.vector("w", m), not plant.rests or programs.depends([*trace.safe(x, t)], [t])
+    w, timed = trace.vector("w", m), programs.depends([*trace.safe(x, t)], [t])
 
     def within(U: np.ndarray) -> np.ndarray:
         clipped = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(U, low, high, strict=True)]
@@ -75,7 +75,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
-    sizes |= {"PARAMETERS": len(plant.p_names), "TIMES": LATE if timed else 1}
+    sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
     return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
 
@@ -84,15 +84,15 @@ def scratch(plant: Plant, ends: int) -> int:
     """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
-    abreast = ends * side * (4 * n + 3 * m + 5 * K + variables + 3)
+    abreast = ends * side * (4 * n + 3 * m + 6 * K + variables + 3)
     ball = (2 * n + 1) * (3 * n + 2 * m + K) + 4 * n * n + 2 * m
     planned = abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
-    return planned + ball + ends * (n + 1) + m + remembered(plant)
+    return planned + ball + ends * (n + 1) + m + remembered(plant) + 1
 
 
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
-    return 2 * BLOCKS * (plant.m + 1) + plant.m + len(plant.p_names) + 3
+    return 2 * BLOCKS * (plant.m + 1) + plant.m + plant.n + len(plant.p_names) + 3
 
 
 def numbers(
