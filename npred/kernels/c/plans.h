@@ -14,10 +14,12 @@ enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, WIDTHS, SIZES = WIDTHS + 
 #define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
 #define AROUND (2 * N + 1) /* a point and two beside it in each direction */
 
+#define SQUARE (N > M ? N * N : M * M)
+
 /* The ball of resting.h: points, their next states, and matrices. */
 typedef struct {
     double x[N * AROUND], y[N * AROUND], U[M * AROUND], law[M * AROUND], h[K * AROUND], unused[N * AROUND];
-    double A[N * N], S[N * N], T[N * N], power[N * N], v[M], w[M];
+    double A[SQUARE], S[SQUARE], T[N * N], power[N * N], change[N * N], v[M], w[M];
 } Ball;
 
 /* The blocks of a plan: where they end, as times from now on, the last at the horizon; and v. */
@@ -97,18 +99,20 @@ static INLINED void PART(_rooms)(const int count, const int side, int reserved, 
     }
 }
 
-/* Limits that depend on time may have their worst between two samples: h in the middle and at the end is the least of
- * that of neighbouring states and times. */
-static INLINED void PART(_between)(const int count, double begin, double end, const double *restrict p, Rollouts *r)
+/* Limits that depend on time may have their worst between two samples of step i: `strict` counts them for neighbouring
+ * states and times. */
+static INLINED void PART(_between)(const int count, int i, double begin, double end, const double *restrict p,
+                                   const double *restrict s, Rollouts *r)
 {
     const double *const states[] = {r->x, r->middle, r->middle, r->y}, middle = 0.5 * (begin + end);
-    for (int i = 0; i < 4 && TIMED; i++) {
-        double *const h = i < 2 ? r->between : r->h;
+    const double decay = s[DECAYS + least(i, STEPS - 1)];
+    for (int j = 0; j < 4 && TIMED; j++) {
         LANES for (int l = 0; l < count; l++) {
-            LIMITS(count, states[i] + l, r->t[l] + (i == 1 ? begin : i == 2 ? end : middle), p, r->other + l);
+            LIMITS(count, states[j] + l, r->t[l] + (j == 1 ? begin : j == 2 ? end : middle), p, r->other + l);
         }
         for (int a = 0; a < K * count; a++) {
-            h[a] = smaller(h[a], r->other[a]);
+            const double room = (r->other[a] - s[MARGIN] + r->below[a] * decay) / s[SIZES + a / count];
+            r->strict[a % count] = smaller(r->strict[a % count], room);
         }
     }
 }
@@ -178,7 +182,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
         LANES for (int l = 0; l < count; l++) {
             LIMITS(count, y + l, r->t[l] + elapsed, p, r->h + l);
         }
-        PART(_between)(count, elapsed - length, elapsed, p, r);
+        PART(_between)(count, i, elapsed - length, elapsed, p, s, r);
         for (int a = 0; a < N * count; a++) {
             r->rate[a] = (y[a] - r->x[a]) / length;
             r->x[a] = y[a];

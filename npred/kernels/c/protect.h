@@ -131,9 +131,9 @@ static inline void PART(_keep)(const double *w, const double *p, Rollouts *r)
 
 /* The U that holds a state best: least squares of the change of x in a control step, in units of the box; and the rates. */
 static inline void PART(_holding)(const double *x, double t, const double *p, const double *s, const double *low,
-                                  const double *high, double *U, double *rate)
+                                  const double *high, double *U, double *rate, Ball *b)
 {
-    double B[N * M], y[N], moved[N], unused[N], G[M * M], g[M];
+    double *const B = b->A, *const G = b->S, *const y = b->y, *const moved = b->x, *const unused = b->unused, g[M];
     STEP(1, x, U, t, s[STEP_LENGTH], p, y, unused);
     for (int c = 0; c < M; c++) {
         const double step = (U[c] + U[c] > low[c] + high[c] ? -MOVED : MOVED) * s[WIDTHS + c], before = U[c];
@@ -191,7 +191,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     for (int c = 0; c < M; c++) {
         hold[c] = U[c];
     }
-    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate);
+    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->ball);
     LAW(1, r->ends, r->moments[0], p, law);
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {

@@ -57,13 +57,12 @@ static inline int PART(_contracts)(Ball *b)
         power[a] = b->A[a];
     }
     for (int round = 0; round < DOUBLINGS && largest > PRECISE(1e-8, 1e-4); round++) {
-        double change[N * N];
         PART(_product)(S, 0, power, T);
-        PART(_product)(power, 1, T, change);
+        PART(_product)(power, 1, T, b->change);
         PART(_product)(power, 0, power, T);
         largest = 0.0;
         for (int a = 0; a < N * N; a++) {
-            S[a] += change[a];
+            S[a] += b->change[a];
             power[a] = T[a];
             largest = larger(largest, fabs(T[a]));
         }

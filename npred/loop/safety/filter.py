@@ -85,7 +85,7 @@ def scratch(plant: Plant, ends: int) -> int:
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
     abreast = ends * side * (4 * n + 3 * m + 6 * K + variables + 3)
-    ball = (2 * n + 1) * (3 * n + 2 * m + K) + 4 * n * n + 2 * m
+    ball = (2 * n + 1) * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
     planned = abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
     return planned + ball + ends * (n + 1) + m + remembered(plant) + 1
 
