@@ -125,7 +125,7 @@ class InC:
         reals, counts = ("D_hat", "D_hat_spread", "error"), ("late", "refused", "missed", "renewed", "handed_over")
         arrays = [("innovation", real * outputs), ("offset", real * self.m)]
         fields = [*((name, real) for name in reals), ("age", ctypes.c_double), *arrays]
-        counts = (*counts, "fallback", "filtered", "unkept", "at_bound")
+        counts = (*counts, "fallback", "filtered", "unkept", "promised", "withdrawn", "at_bound")
         fields += [(name, ctypes.c_int32) for name in counts] + [("kept", real)]
         status = type("Fields", (ctypes.Structure,), {"_fields_": fields})()
         self.library.npred_get_status(self.memory, ctypes.byref(status))

@@ -63,16 +63,20 @@ def kept(case: Case) -> Verdict:
     dt = step(case, (FEW, FEW))
     t_end = case.D + min(case.times[1], FEW_LONG * dt)
     both = (_failing(case, dt, t_end, safety) for safety in (None, SafetyFilter()))
-    (early, _), outside, fails = zip(*both, strict=True)
+    (early, _), outside, fails, (_, promised) = zip(*both, strict=True)
     shown = case.plant.time_text
     text = (
         f"of {LOOPS} loops from the box, D = {shown(case.D)}, dt = {shown(dt, '.2g')}, in {shown(t_end, '.3g')}: "
         f"{outside[0].mean():.0%} break a limit, with a filter {outside[1].mean():.0%}; {fails[0].mean():.0%} do not "
-        f"converge, with a filter {fails[1].mean():.0%}"
+        f"converge, with a filter {fails[1].mean():.0%}; {promised.mean():.0%} are promised to keep them for good"
     )
     if early.any():
         u0 = inputs.sentence(case.plant, case.u0, case.limits)
         text += f"; before the first command acts {early.mean():.0%} break one that they kept, by u0: {u0}"
+    safety = SafetyFilter()
+    values = safety.numbers(case.plant, dt, case.limits)["safety"]
+    for doubt in safety.doubts(case.plant, dt, values, case.limits):
+        return "warn", f"{text}; {doubt.removeprefix('safety: ')}"
     if (fails[1] & ~fails[0]).any():
         return "warn", f"{text}; let kappa rest inside the limits, or take no filter"
     if outside[1].any():
@@ -82,12 +86,12 @@ def kept(case: Case) -> Verdict:
 
 def _failing(case: Case, dt: float, t_end: float, safety: SafetyFilter | None) -> tuple[np.ndarray, ...]:
     """The loops (LOOPS,) that break a limit before the first command acts, though they began within all; that break one
-    later; and those that neither are at the target nor come nearer.
+    later; those that neither are at the target nor come nearer; and those whose first step is promised.
     """
     loops = run(case, case.D, case.X[:LOOPS], t_end, dt, safety=safety)
     kept, first = np.all(np.asarray(loops.safety) >= 0, axis=2), int(np.ceil(case.D / dt - 1e-9))
     early = kept[:, 0] & ~kept[:, :first].all(axis=1)
-    return early, ~kept[:, first:].all(axis=1), ~fate(case, loops.X, t_end).converges
+    return early, ~kept[:, first:].all(axis=1), ~fate(case, loops.X, t_end).converges, loops.promised[:, 0]
 
 
 def estimate_applies(case: Case) -> bool:

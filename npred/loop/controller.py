@@ -120,6 +120,8 @@ class Controller(InNotebook):
                 control_step.check("dt", dt, longest)
             if text := control_step.doubt("dt", dt, longest, plant, law is not None):
                 say(text)
+        for text in loop.safety.doubts(plant, dt, self.settings.safety, limits) if loop.safety else ():
+            say(text)
         self._last_U, self._last_P = np.zeros(plant.m), np.full((predictor.nx, plant.n), np.nan)
         self.memory = Memory(loop, laws, self.settings, self._past(np.zeros(plant.n)))
         self.keeps_commands = self.memory.keeps_commands

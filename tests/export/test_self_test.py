@@ -66,7 +66,8 @@ def test_a_filter_passes_in_float_and_one_of_other_plans_or_limits_fails(tmp_pat
     made = npred.controller(
         plant, npred.predictor(plant, "rk4", 31), None, dt, D_hat=D, actuator="history", safety=npred.SafetyFilter()
     )
-    for change in (("", ""), ("*now + added", "*now - added"), ("kept[b] = smaller(", "kept[b] = 0.9f * smaller(")):
+    plans = ("high[c]) + added", "high[c]) - added")  # Pole's test has one call with a plan: too few to tell
+    for change in (("", ""), *[plans][: name != "Pole"], ("least_h = smaller(", "least_h = 0.9f * smaller(")):
         written(tmp_path, made, "float", change)
         assert (own_test(tmp_path).returncode == 0) == (not change[0]), change
 

@@ -53,7 +53,7 @@ def test_a_promise_that_is_made_to_all_is_broken(monkeypatch):
     monkeypatch.setattr(promises, "promised", lambda loop, first: np.ones(loop.filtered.shape, dtype=bool))
     names, line = promises.random({"near": CASES["near"]}, SimpleNamespace(starts=40, seed=0))
     found = dict(zip(names, line, strict=True))
-    assert found["promised"] == 40 and found["broken"] > 10 and float(found["least h"]) < -0.1
+    assert found["promised"] == 40 and found["broken"] > 5 and float(found["least h"]) < -0.1
     assert found["well"] > 3 and found["other U"] == 0
     size, promised, broken, *_ = promises.search(replace(CASES["near"], t_end=3.0), 0.1, 0)
     assert promised == size > broken > 0

@@ -5,20 +5,20 @@
 #define MANY 8                      /* plans that are rolled out side by side */
 #define ABREAST (ENDS * SIDE)       /* SIDE rollouts of a plan: itself, then one for each variable, which is moved there */
 #define TIGHT 2e-3
-#define SLACK 5e-4
+#define LATER_BREACH 5e-4
 #define DIP 5e-3           /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
 #define OVERFLOWN -1e6     /* sizes of h: the room of a rollout that is not finite */
 #define BOX(s, c) (1e6 * (s)[c]) /* the width of the box; s has what a predicted state may err by */
 enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K, LENGTHS = AHEAD + MANY,
        DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
-#define AROUND (2 * N + 1) /* a point and two beside it in each direction */
+#define POINTS (2 * N + 1) /* a point and two beside it in each direction */
 
 #define SQUARE (N > M ? N * N : M * M)
 
 /* The ball of resting.h: points, their next states, and matrices. */
 typedef struct {
-    double x[N * AROUND], y[N * AROUND], U[M * AROUND], law[M * AROUND], h[K * AROUND], unused[N * AROUND];
+    double x[N * POINTS], y[N * POINTS], U[M * POINTS], law[M * POINTS], h[K * POINTS], unused[N * POINTS];
     double A[SQUARE], S[SQUARE], T[N * N], power[N * N], change[N * N], v[M], w[M];
 } Ball;
 
@@ -76,7 +76,7 @@ static INLINED void PART(_rooms)(const int count, const int side, int reserved, 
     for (int a = 0; a < K * count; a++) {
         const double size = s[SIZES + a / count];
         const double dip = r->below[a] > 0.0 && decay == 1.0 ? DIP + 0.1 * r->below[a] / size : 0.0;
-        const double reserve = reserved ? TIGHT - r->spent[a] * returned : SLACK * (returned - 1.0) - dip;
+        const double reserve = reserved ? TIGHT - r->spent[a] * returned : LATER_BREACH * (returned - 1.0) - dip;
         const double floor = s[MARGIN] - r->below[a] * decay + reserve * size;
         const double floor_inside = s[MARGIN] - r->below[a] * halfway + reserve * size;
         const double rise = 0.5 * (end[a] - before[a]), bend = end[a] + before[a] - 2.0 * middle[a];

@@ -8,7 +8,7 @@
  *
  * The floor is the margin; if h is below it at `ends` already, the floor rises back to it at the rate alpha. A plan has a
  * reserve: it keeps h above its floor by TIGHT times the size of h or, if less is left at `ends`, returns to that. A
- * breach of up to SLACK times that size, the more the later it is, is left to later calls, which predict it better.
+ * breach of up to LATER_BREACH times that size, the more the later it is, is left to later calls, which predict it better.
  * `kept` is the smallest h of `ends`, `filtered` is 1 if U was changed, `unkept` is 1 if no plan has half the reserve.
  *
  * `promised` is 1 if U begins a plan that is known to keep all limits and to rest (resting.h): kappa alone, the plan that

@@ -13,8 +13,8 @@
 #define DOUBLINGS 24 /* of the number of control steps that S sums over: none more would be a rest */
 #define SURE 1.5
 #define NEARBY PRECISE(1e-4, 1e-2)   /* of the box: for slopes */
-#define SMALLEST PRECISE(1e-6, 1e-2) /* radius of a ball */
-#define LARGEST 0.5                  /* the same; where the loop moves with time, more is no rest */
+#define TINIEST PRECISE(1e-6, 1e-2) /* radius of a ball */
+#define WIDEST 0.5                  /* the same; where the loop moves with time, more is no rest */
 
 /* F, kappa + w and h at the points of the ball, at time t. */
 static INLINED void PART(_onward)(const int count, double t, const double *p, const double *s, const double *low,
@@ -100,7 +100,7 @@ static inline double PART(_spread)(const double *row)
 static inline void PART(_surround)(Ball *b, const double *s, const double *x, const double *step, double length)
 {
     for (int c = 0; c < N; c++) {
-        double *const row = b->x + c * AROUND;
+        double *const row = b->x + c * POINTS;
         row[0] = x[c];
         for (int i = 0; i < N; i++) {
             row[1 + i] = x[c] + length * step[c * N + i] * BOX(s, c);
@@ -137,7 +137,7 @@ static inline void PART(_axes)(Ball *b)
 static inline int PART(_clips_evenly)(const Ball *b, const double *low, const double *high)
 {
     for (int c = 0; c < M; c++) {
-        const double *const law = b->law + c * AROUND, change = PART(_spread)(law);
+        const double *const law = b->law + c * POINTS, change = PART(_spread)(law);
         const int beyond = law[0] - change >= high[c] || law[0] + change <= low[c];
         const double left = beyond ? 0.0 : change, U = within(law[0], low[c], high[c]) + b->v[c];
         if (!beyond && (law[0] + change > high[c] || law[0] - change < low[c])) {
@@ -159,7 +159,7 @@ static inline double PART(_bend)(const Ball *b, const double *s, double radius)
         for (int side = 0; side < 2; side++) {
             double d[N];
             for (int c = 0; c < N; c++) {
-                const double *const y = b->y + c * AROUND;
+                const double *const y = b->y + c * POINTS;
                 d[c] = y[1 + side * N + i] - y[0];
                 for (int k = 0; k < N; k++) {
                     d[c] -= (side ? -radius : radius) * b->A[c * N + k] * b->T[k * N + i] * BOX(s, c);
@@ -178,7 +178,7 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
 {
     Ball *const b = &r->ball;
     const double t = r->t[at] + r->elapsed;
-    double x[N], trace = 0.0, radius = SMALLEST, slack;
+    double x[N], trace = 0.0, radius = TINIEST, slack;
     for (int c = 0; c < N; c++) {
         x[c] = r->x[c * count + at];
         if (!isfinite(x[c])) {
@@ -193,9 +193,9 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
         b->w[c] = r->w[c * count + at];
     }
     PART(_surround)(b, s, x, b->T, NEARBY);
-    PART(_onward)(AROUND, t, p, s, low, high, b);
+    PART(_onward)(POINTS, t, p, s, low, high, b);
     for (int a = 0; a < N * N; a++) {
-        const double *const y = b->y + a / N * AROUND;
+        const double *const y = b->y + a / N * POINTS;
         b->A[a] = (y[1 + a % N] - y[1 + N + a % N]) / (2.0 * NEARBY * BOX(s, a / N));
     }
     if (!PART(_contracts)(b)) {
@@ -211,23 +211,23 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
             PART(_onward)(1, t + s[LATER] * (double)i / (double)(TIMES - 1), p, s, low, high, b);
         }
         for (int c = 0; c < N; c++) {
-            d[c] = b->y[i > 0 ? c : c * AROUND] - x[c];
+            d[c] = b->y[i > 0 ? c : c * POINTS] - x[c];
             b->x[c] = x[c];
         }
         radius = larger(radius, PART(_distance)(b, s, d) / slack);
     }
-    if (TIMES > 1 && !(radius <= LARGEST)) {
+    if (TIMES > 1 && !(radius <= WIDEST)) {
         return 0;
     }
     PART(_axes)(b);
     PART(_surround)(b, s, x, b->T, radius);
     for (int i = 0; i < TIMES; i++) {
-        PART(_onward)(AROUND, TIMES > 1 ? t + s[LATER] * (double)i / (double)(TIMES - 1) : t, p, s, low, high, b);
+        PART(_onward)(POINTS, TIMES > 1 ? t + s[LATER] * (double)i / (double)(TIMES - 1) : t, p, s, low, high, b);
         if (!(PART(_bend)(b, s, radius) <= slack * radius) || !PART(_clips_evenly)(b, low, high)) {
             return 0;
         }
         for (int k = 0; k < K; k++) {
-            const double *const h = b->h + k * AROUND;
+            const double *const h = b->h + k * POINTS;
             if (!(h[0] - PART(_spread)(h) >= s[MARGIN])) {
                 return 0;
             }

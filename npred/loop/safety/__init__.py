@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from npred.plants.base import Plant
 
 
+SECONDS = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}  # in a unit of time, where it is not the second
+
+
 @dataclass(frozen=True)
 class SafetyFilter:
     """U = kappa(P), changed only where the loop that follows would break a limit h >= margin that the plant declares by
@@ -65,3 +68,11 @@ class SafetyFilter:
         from npred.loop.safety.filter import kernel  # brings what compiles, which reading a pipeline has no use for
 
         return {"protect": kernel(plant, self.ends)}
+
+    def doubts(self, plant: "Plant", dt: float, values: np.ndarray, input_bounds: np.ndarray) -> list[str]:
+        """What a user should know before the first command, of its `numbers`."""
+        from npred.loop.safety.filter import survey
+        from npred.plants import inputs
+
+        bounds = tuple(tuple(pair) for pair in inputs.widest(plant, input_bounds).tolist())
+        return survey(plant, self.ends, tuple(values.tolist()), bounds).doubts(dt, SECONDS.get(plant.time_unit, 1.0))

@@ -1,7 +1,9 @@
 """The kernel of the safety filter, and the grid of time over which it rolls loops out."""
 
+import time
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +23,8 @@ SPAN = 6.0  # the horizon, times the slowest rate, where that many steps reach s
 RISE = 0.1  # of the horizon: how soon a plan has its whole reserve
 ERROR = 1e-6  # of the box: what a predicted state may err by
 DRAWN = 256  # states of the box
+SURVEYED, REPEATED = 12, 2  # states that a survey looks at, and how often each is timed
+SHARE = 0.5  # of dt: what a step of the filter may take
 TINY = 1e-6  # a rate that is none
 MANY, AHEAD = 8, (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0)  # brakes, and how far ahead they rest, over the slowest rate
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
@@ -93,6 +97,47 @@ def scratch(plant: Plant, ends: int) -> int:
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
     return 2 * BLOCKS * (plant.m + 1) + plant.m + plant.n + len(plant.p_names) + 3
+
+
+class Survey(NamedTuple):
+    """Of states in the box that a command may meet: how many are within the limits, of these how many are promised, and
+    the longest step of the kernel in seconds.
+    """
+
+    inside: int
+    promised: int
+    longest: float
+
+    def doubts(self, dt: float, unit: float) -> list[str]:
+        """What a user should know before the first command, dt being in units of so many seconds."""
+        texts = []
+        if self.inside and not self.promised:
+            texts.append(f"of {self.inside} states of the box within the limits none is promised to keep them for good")
+        if self.longest > SHARE * dt * unit:
+            cure = "declare fewer limits, take delay = 0 or a shorter horizon, or lengthen dt"
+            texts.append(f"its longest step took {self.longest:.2g} s here, dt is {dt * unit:.2g} s; {cure}")
+        return [f"safety: {text}" for text in texts]
+
+
+@cache
+def survey(plant: Plant, ends: int, values: tuple[float, ...], bounds: tuple[tuple[float, float], ...]) -> Survey:
+    """A survey of the kernel of a plant, with its numbers, one state at a time."""
+    X = plant.drawn("limits", DRAWN)
+    with np.errstate(all="ignore"):
+        X = X[(plant.safe(X) > values[plant.n]).all(axis=-1)][:SURVEYED]
+    protect, p, longest, promised = kernel(plant, ends), plant.p, 0.0, 0
+    low, high = (np.ascontiguousarray(side[:, None]) for side in np.array(bounds).T)
+    for x in X:
+        took = np.inf
+        for _ in range(REPEATED):
+            at = np.repeat(x[None, :, None], ends, axis=0).copy(), np.zeros((ends, 1)), p, np.array(values), low, high
+            U, plan = np.array(plant.kappa(x), dtype=float)[:, None].copy(), np.zeros((remembered(plant), 1))
+            results = [np.zeros(1) for _ in range(5)]
+            start = time.perf_counter()
+            protect(*at, U, plan, *results)
+            took = min(took, time.perf_counter() - start)
+        longest, promised = max(longest, took), promised + int(results[3][0])
+    return Survey(len(X), promised, longest)
 
 
 def numbers(
