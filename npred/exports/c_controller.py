@@ -77,6 +77,9 @@ def sources(
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
     lines = [*_about(controller, name, precision, model), _bytes(sizes, variants, precision)]
+    if controller.safety:
+        most = controller.safety.operations(controller.plant)
+        lines += [f"A step of its safety filter takes {most / 1e6:.2g} million floating-point operations at most."]
     included = {
         "period": f"#define {name.upper()}_DT {controller.dt!r}",
         "about": "\n".join(f" * {comment(line)}" for line in lines),

@@ -18,7 +18,9 @@ NUMBERS = {"t": "double", "dt": "double", "b": "double", "gate": "double", "k": 
 PREPARED = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 KINDS = {"double": ctypes.c_double, "INDEX": ctypes.c_int64, None: ctypes.c_void_p}
 AXES = {  # axes of the arrays that tell the sizes of a call, before the lanes; the last array counts
-    **dict.fromkeys(("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept", "promised", "withdrawn"), ()),
+    **dict.fromkeys(
+        ("D_hat", "phi", "N", "error", "fallback", "kept", "filtered", "unkept", "promised", "withdrawn"), ()
+    ),
     **dict.fromkeys(("X", "X_hat", "Y"), ("n",)),
     **dict.fromkeys(("U", "U0", "U1", "share", "D", "D_seen", "speed", "low", "high"), ("m",)),
     **dict.fromkeys(("u", "u_nodes"), ("nx", "m")),

@@ -25,8 +25,8 @@ class Status(NamedTuple):
     fallback, error: whether the guard took the numerical answer, and its estimate of the error of U.
     filtered: whether the safety filter changed U. kept: the smallest h = safe(P, t) of the predicted states.
     unkept: whether it found no U within the bounds that keeps all limits.
-    promised: whether U begins a plan that keeps all limits for good; see docs/safety.md for the conditions. withdrawn: how often
-        such a promise ended.
+    promised: whether U begins a plan that keeps all limits for good; see docs/safety.md for the conditions.
+    withdrawn: how often such a promise ended.
     """
 
     D_hat: float

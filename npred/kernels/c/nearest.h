@@ -6,6 +6,7 @@
  * one does, those soft_i λ_i are small; they are solved for once more, which leaves about soft_i² λ_i. */
 #define PRECISE(double_precision, single) (sizeof(double) > 4 ? (double_precision) : (single)) /* an export may have floats */
 #define ROOM PRECISE(1e-6, 1e-4) /* of soft_i λ_i: above it no point keeps all */
+#define SOLVES (3 * ACTIVE) /* systems of active conditions that are solved at most */
 #define SIDE (VARIABLES + 1) /* of a row: b, then a */
 typedef struct {
     double soft[ROWS], lambda[ROWS], G[ACTIVE * ACTIVE], L[ACTIVE * ACTIVE], b[ACTIVE], y[ACTIVE];
@@ -65,11 +66,11 @@ static inline void primal(const Conditions *q, const double *rows, const double 
 static inline void nearest(Conditions *q, const double *rows, const double *w, double *delta)
 {
     double *const lambda = q->lambda, *const G = q->G, *const L = q->L, *const b = q->b, *const y = q->y;
-    int *const active = q->active, count = 0;
+    int *const active = q->active, count = 0, solves = 0;
     for (int i = 0; i < q->rows; i++) {
         lambda[i] = 0.0;
     }
-    for (int round = 0; round < 3 * ACTIVE && count < ACTIVE; round++) {
+    while (solves < SOLVES && count < ACTIVE) {
         double most_missed = PRECISE(1e-12, 1e-6);
         int worst = -1;
         primal(q, rows, w, delta);
@@ -87,7 +88,7 @@ static inline void nearest(Conditions *q, const double *rows, const double *w, d
             break;
         }
         active[count++] = worst;
-        for (int tries = 0; tries < ACTIVE; tries++) {
+        for (; solves < SOLVES; solves++) {
             double share = 1.0;
             int kept = 0;
             for (int i = 0; i < count; i++) {
@@ -111,6 +112,7 @@ static inline void nearest(Conditions *q, const double *rows, const double *w, d
                 }
             }
             if (share >= 1.0 || kept == count) {
+                solves++;
                 break;
             }
             count = kept;

@@ -76,3 +76,9 @@ class SafetyFilter:
 
         bounds = tuple(tuple(pair) for pair in inputs.widest(plant, input_bounds).tolist())
         return survey(plant, self.ends, tuple(values.tolist()), bounds).doubts(dt, SECONDS.get(plant.time_unit, 1.0))
+
+    def operations(self, plant: "Plant") -> int:
+        """Floating-point operations of its longest step at most."""
+        from npred.loop.safety.filter import operations
+
+        return operations(plant, self.ends)

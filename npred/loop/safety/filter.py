@@ -1,5 +1,6 @@
 """The kernel of the safety filter, and the grid of time over which it rolls loops out."""
 
+import re
 import time
 from collections.abc import Callable
 from functools import cache
@@ -26,9 +27,17 @@ DRAWN = 256  # states of the box
 SURVEYED, REPEATED = 12, 2  # states that a survey looks at, and how often each is timed
 SHARE = 0.5  # of dt: what a step of the filter may take
 TINY = 1e-6  # a rate that is none
-MANY, AHEAD = 8, (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0)  # brakes, and how far ahead they rest, over the slowest rate
+MANY, AHEAD = (
+    8,
+    (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0),
+)  # brakes, and how far ahead they rest, over the slowest rate
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
 LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
+TAIL, CHECKS = (
+    192,
+    7,
+)  # steps beyond the grid, and how often a plan is asked whether it rests: npred/kernels/c/protect.h
+OPERATIONS = re.compile(r" [-+*/] |\b[a-z_]+\(")
 LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
 
@@ -39,11 +48,25 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     if needed > LARGEST:
         what = f"expected plans of at most {LARGEST >> 17} MB, got {needed >> 17} MB for {K} limits and {m} inputs"
         raise ConfigError(f"safety: {what}; declare fewer limits" + ends // 3 * ", or take delay = 0")
+    of, functions = formulas(plant)
+    variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
+    timed = programs.depends([*of.trace.safe(of.trace.vector("x", n), of.trace.input("t"))], [of.trace.input("t")])
+    sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
+    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
+    sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
+    text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
+    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
+
+
+@cache
+def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
+    """The functions of a plant's kernel."""
+    n, m, K = plant.n, plant.m, plant.limits
     of = Formulas(plant)
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
-    w, timed = trace.vector("w", m), programs.depends([*trace.safe(x, t)], [t])
+    w = trace.vector("w", m)
 
     def within(U: np.ndarray) -> np.ndarray:
         clipped = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(U, low, high, strict=True)]
@@ -72,16 +95,12 @@ def kernel(plant: Plant, ends: int) -> Kernel:
             step(lambda x, before, t: trace.f(x, u, t)), [vector("x", n), vector("u", m), "t", "h"], results
         ),
         "ALONG": of.function(
-            step(along), [vector("x", n), vector("w", m), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"],
+            step(along),
+            [vector("x", n), vector("w", m), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"],
             results,
         ),
     }
-    variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
-    sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
-    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
-    sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
-    text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
-    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
+    return of, functions
 
 
 def scratch(plant: Plant, ends: int) -> int:
@@ -97,6 +116,25 @@ def scratch(plant: Plant, ends: int) -> int:
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
     return 2 * BLOCKS * (plant.m + 1) + plant.m + plant.n + len(plant.p_names) + 3
+
+
+def operations(plant: Plant, ends: int) -> int:
+    """Floating-point operations of the longest step at most: rollouts of the law alone, a plan, three sets of brakes,
+    two plans that are looked at again; whether they rest; the programmes of a plan. A call of a function counts as one.
+    """
+    n, m, K, (of, functions) = plant.n, plant.m, plant.limits, formulas(plant)
+    one = {name: len(OPERATIONS.findall(text)) for name, text in functions.items()}
+    if of.called():
+        one = {name: count + sum(map(len, map(OPERATIONS.findall, of.called()))) for name, count in one.items()}
+    variables, steps = BLOCKS * m, (3 + 3 * MANY) * (STEPS + TAIL)
+    lanes = ends * (steps + STEPS + 3 * (variables + 1) * STEPS)
+    rolled = lanes * (max(one["STEP"], one["ALONG"]) + one["LAW"] + 6 * one["LIMITS"] + 30 * K + 8 * m + 3 * n)
+    checks, moments = ends * (3 + 3 * MANY) * CHECKS, 1 if plant.rests else LATE
+    points = 2 * moments * (2 * n + 1) * (one["STEP"] + one["LAW"] + one["LIMITS"] + 6 * m)
+    rested = checks * (points + 24 * 6 * n**3 + 4 * moments * n**3)
+    rows, active = STEPS * 2 * K * ends + 2 * variables, 2 * variables
+    solved = 3 * active * (3 * rows * variables + 2 * active**2 * variables + active**3 // 3 + 2 * active**2)
+    return int(rolled + rested + 2 * (6 * rows * variables + solved))
 
 
 class Survey(NamedTuple):
@@ -160,7 +198,21 @@ def numbers(
     sizes = np.where(np.isfinite(sizes) & (sizes > 0), sizes, 1.0)
     ahead = np.array(AHEAD) / slowest
     return np.array(
-        [*(ERROR * box), margin, dt, longest, LATER * ends[-1], still(plant, X, ends[-1]), *widths, *sizes, *ahead, *lengths, *decay, *ramp, *edges]
+        [
+            *(ERROR * box),
+            margin,
+            dt,
+            longest,
+            LATER * ends[-1],
+            still(plant, X, ends[-1]),
+            *widths,
+            *sizes,
+            *ahead,
+            *lengths,
+            *decay,
+            *ramp,
+            *edges,
+        ]
     )
 
 
