@@ -62,7 +62,7 @@ STATE = [
     *_lane("error", "fallback", start=0.0),  # the guard's estimate of the error of U; 1 where it answered
     *_lane(
         "kept", "filtered", "unkept", "promised", "withdrawn", start=0.0
-    ),  # a safety filter: the least h; 1 if it changed U; if no U keeps all limits; if a plan does for good; ended promises
+    ),  # of a filter: the least h; 1 if it changed U; if no U keeps the limits; if a plan does for good; promises ended
     Signal("plan", ("plan",), 0.0),  # the plan of a safety filter: what it will add to kappa
     *_rows("m", "low", "high", "D_moved"),  # the bounds of U for the filter, and the delays of a prediction
     Signal("ends", ("ends", "n")),  # the states that are predicted for the moments when U acts

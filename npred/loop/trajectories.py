@@ -63,10 +63,11 @@ class Trajectories:
     With a guarded predictor `fallback` (..., nt) says where the numerical predictor answered, since the time before,
     and `fallbacks` (...) in how many of the `steps` control steps. With a safety filter `filtered` (..., nt) says where
     U was changed, likewise, `changes` (...) in how many steps, `promised` (..., nt) where a plan was promised to keep
-    all limits, and `unkept` (...) in how many steps no U kept all; `safety` (..., nt, limits) is safe(x, t, p, M) of the plant's states. `states`, `inputs`, `time_unit`, `labels` and
-    `units` are the plant's. At or beyond `ends` D_hat is at a bound of its law; None if frozen. `clock` is what
-    loops on a real clock add, else None. `target` (nt, n) and `u_target` (nt, m) are X* and U* of the set-points of the
-    time, None without `setpoints`.
+    all limits, and `unkept` (...) in how many steps no U kept all; `safety` (..., nt, limits) is safe(x, t, p, M) of
+    the plant's states. `states`, `inputs`, `time_unit`, `labels` and `units` are the plant's. At or beyond `ends` D_hat
+    is at a bound of its law; None if frozen. `clock` is what loops on a real clock add, else None. `target` (nt, n) and
+    `u_target` (nt, m) are X* and U* of the set-points of the time, None without `setpoints`.
+
     print(loop) gives the ranges and ends of all series.
     """
 

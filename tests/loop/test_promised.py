@@ -120,6 +120,9 @@ def test_where_nothing_is_promised_or_a_step_is_long_that_is_said_before_the_fir
     assert "none is promised" in doubts[0]
     values = npred.SafetyFilter().numbers(plant, 0.02, np.array(plant.input_bounds))["safety"]
     assert not npred.SafetyFilter().doubts(plant, 0.02, values, np.array(plant.input_bounds))
+    unsure = npred.SafetyFilter(delay=0.02)
+    values = unsure.numbers(plant, 0.02, np.array(plant.input_bounds))["safety"]
+    assert "nothing is promised" in unsure.doubts(plant, 0.02, values, np.array(plant.input_bounds))[0]
     survey = grid.Survey(12, 12, 0.05)
     assert "longest step took 0.05 s here, dt is 0.02 s" in survey.doubts(0.02, 1.0)[0]
     assert not survey.doubts(0.02, 60.0)

@@ -363,8 +363,8 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             if (unkept[b] > 0.0) {
                 r->memory.promised = 0.0;
             }
-            r->memory.withdrawn += had >= 1.0 && r->memory.promised < 1.0 ? 1.0 : 0.0;
-            promised[b] = r->memory.promised >= 1.0 ? 1.0 : 0.0;
+            r->memory.withdrawn += ENDS == 1 && had >= 1.0 && r->memory.promised < 1.0 ? 1.0 : 0.0;
+            promised[b] = ENDS == 1 && r->memory.promised >= 1.0 ? 1.0 : 0.0; /* kappa reads a wrong prediction else */
             STEP(1, r->ends, next, r->moments[0], safety[STEP_LENGTH], p, r->memory.next, r->y);
             withdrawn[b] = r->memory.withdrawn;
             for (int i = 0; i < (int)REMEMBERED; i++) {

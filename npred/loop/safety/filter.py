@@ -145,11 +145,14 @@ class Survey(NamedTuple):
     inside: int
     promised: int
     longest: float
+    ends: int = 1
 
     def doubts(self, dt: float, unit: float) -> list[str]:
         """What a user should know before the first command, dt being in units of so many seconds."""
         texts = []
-        if self.inside and not self.promised:
+        if self.ends > 1:
+            texts.append("with delay above 0 nothing is promised for good: kappa reads a prediction that may be wrong")
+        elif self.inside and not self.promised:
             texts.append(f"of {self.inside} states of the box within the limits none is promised to keep them for good")
         if self.longest > SHARE * dt * unit:
             cure = "declare fewer limits, take delay = 0 or a shorter horizon, or lengthen dt"
@@ -175,7 +178,7 @@ def survey(plant: Plant, ends: int, values: tuple[float, ...], bounds: tuple[tup
             protect(*at, U, plan, *results)
             took = min(took, time.perf_counter() - start)
         longest, promised = max(longest, took), promised + int(results[3][0])
-    return Survey(len(X), promised, longest)
+    return Survey(len(X), promised, longest, ends)
 
 
 def numbers(
