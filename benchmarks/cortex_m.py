@@ -2,11 +2,11 @@
 
     python benchmarks/cortex_m.py pipeline/paper.toml:deeponet --store artifacts
 
-It exports the controller of the pipeline's evaluated loop, cross-compiles it with arm-none-eabi-gcc -O2 and runs it in
-QEMU (mps2-an386, a Cortex-M4F, in float; mps2-an500, a Cortex-M7, in double). Flash and RAM are those of a program with
-nothing else, the C library's functions included; the stack is what the steps overwrite of a painted one. With `-icount`
-QEMU's clock runs 1 ns per instruction and SysTick counts it at 25 MHz, which gives instructions, not cycles: QEMU has
-no pipeline, no cache and no flash that is slow.
+It exports the controller of the pipeline's evaluated loop, and one with a safety filter, cross-compiles it with
+arm-none-eabi-gcc -O2 and runs it in QEMU (mps2-an386, a Cortex-M4F, in float; mps2-an500, a Cortex-M7, in double).
+Flash and RAM are those of a program with nothing else, the C library's functions included; the stack is what the steps
+overwrite of a painted one. With `-icount` QEMU's clock runs 1 ns per instruction and SysTick counts it at 25 MHz, which
+gives instructions, not cycles: QEMU has no pipeline, no cache and no flash that is slow.
 """
 
 import json
@@ -16,6 +16,11 @@ import tempfile
 from pathlib import Path
 
 import harness
+import plants
+
+import npred
+from npred.exports import c_controller
+from npred.loop.controller import Controller
 
 ASSETS = Path(__file__).parent / "cortex_m"
 BOARDS = {
@@ -76,6 +81,19 @@ def rows(model: str, nx: int) -> dict[tuple[str, str], list[str]]:
     }
 
 
+def filtered() -> Controller:
+    """A cart whose law overshoots the end of its track, with a safety filter."""
+    plant = npred.plant(plants.Cart)
+    heun, kept = npred.predictor(plant, "heun", 31), npred.SafetyFilter()
+    return npred.controller(plant, heun, None, 0.01, D_hat=0.3, actuator="history", safety=kept)
+
+
+def write(controller: Controller, precision: str, folder: Path) -> None:
+    """Put npred.h and npred.c of a controller into the folder."""
+    for text, suffix in zip(c_controller.sources(controller, precision=precision), "hc", strict=True):
+        (folder / f"npred.{suffix}").write_text(text)
+
+
 def main() -> None:
     options = harness.options(__doc__, {"model": ...}, store=Path("artifacts"), nx=101, json=False)
     results = {}
@@ -83,6 +101,10 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             harness.command_line("export", "controller", *arguments, "--store", str(options.store), "-o", name)
             results[f"{kind}, {precision}"] = measure(Path(name), precision)
+    for precision in BOARDS:
+        with tempfile.TemporaryDirectory() as name:
+            write(filtered(), precision, Path(name))
+            results[f"heun, filter, {precision}"] = measure(Path(name), precision)
     if options.json:
         print(json.dumps(results, indent=2))
         return
