@@ -17,5 +17,5 @@ def known_loops(settled: Sequence[int], ends: Sequence[float]) -> Trajectories:
     nothing = Samples(*[np.empty((len(X), 0))] * 3)
     return Trajectories(
         T, X, zeros[..., None], zeros, zeros, zeros, never, nothing, X, never, 0.0 * never, 0.0 * never,
-        X[:, 0], zeros > 0, 0 * never, zeros > 0, 0 * never, 0 * never, len(T),
+        X[:, 0], zeros > 0, 0 * never, zeros > 0, 0 * never, zeros > 0, 0 * never, len(T),
     )  # fmt: skip

@@ -20,7 +20,8 @@ EMPTY = Samples(*[np.empty(0)] * 3)
 
 def loops(X, t):
     zeros, never = np.zeros(X.shape[:-1]), np.full(X.shape[:-2], -1)
-    ends = never, 0.0 * never, 0.0 * never, X[..., 0, :], zeros > 0, 0 * never, zeros > 0, 0 * never, 0 * never, len(t)
+    no = zeros > 0
+    ends = never, 0.0 * never, 0.0 * never, X[..., 0, :], no, 0 * never, no, 0 * never, no, 0 * never, len(t)
     return Trajectories(t, X, zeros[..., None], zeros, zeros, zeros, never, EMPTY, X, *ends)
 
 
