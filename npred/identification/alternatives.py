@@ -5,12 +5,13 @@ difference of their costs has to be large, and larger than its scatter over the 
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from npred.identification import search
-from npred.identification.estimate import Delays
+from npred.identification.estimate import FINEST, Delays, correlation_time, levels_of, profiled
 from npred.identification.fit import Prior, Problem, SegmentFit, better
 from npred.identification.log import Segments, spread
 
@@ -32,11 +33,21 @@ class Alternative:
     short: bool  # the lag is shorter than a sampling period, which is as good as none
     least: float  # the shortest delay with a lag behind it that is not clearly worse than the delay alone
     behind: tuple[float, float] | None  # a delay and a lag that are clearly better than the delay alone
+    interval: tuple[float, float] | None  # of that delay, by its profile
 
     @property
     def explains(self) -> bool:
         """True if a lag that counts may stand in place of the delay."""
         return self.as_good and not self.short
+
+
+class Lines(NamedTuple):
+    """The delays (m,) and intervals (m, 2) with commands in straight lines; whether these fit alike, and better."""
+
+    D: np.ndarray
+    interval: np.ndarray
+    alike: bool
+    better: bool
 
 
 class Validation(NamedTuple):
@@ -140,30 +151,50 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
     """A lag in place of the delay of input j, and one behind it, against the delay alone."""
     instead, period = lag_instead(delays.problem, delays.values, [j], high), delays.problem.segments.log.period
     assert instead.lags is not None
-    as_good, behind = not better(delays.fit, instead.fit, delays.inflation), None
+    as_good = not better(delays.fit, instead.fit, delays.inflation)
     if as_good or not delays.values[j] > 0:
-        return Alternative(float(instead.lags[j]), as_good, bool(instead.lags[j] < period), 0.0, behind)
-    fit, lagged = delays.fit, delays.problem.with_lag()
-    best, best_tau, least = None, 0.0, float(delays.values[j])
+        return Alternative(float(instead.lags[j]), as_good, bool(instead.lags[j] < period), 0.0, None, None)
+    fit, least, rivals = delays.fit, float(delays.values[j]), []
+    lagged = delays.problem.with_lag()
+
+    def at(z: np.ndarray, start: SegmentFit | None, unit: float, problem: Problem = lagged) -> SegmentFit:
+        """The fit with z: a delay, and the logarithm of a lag times `unit`."""
+        moved, tau = fit.delays.copy(), np.full(len(fit.delays), NONE * period)
+        moved[j], tau[j] = z[0], np.exp(z[1] / unit)
+        return problem.fit(moved, start, 2, tau)
+
     for share in SHARES:
-        tau = np.full(len(fit.delays), NONE * period)
-        tau[j] = share * max(fit.delays[j], period)
-
-        def at(z: np.ndarray, start: SegmentFit | None, tau: np.ndarray = tau) -> SegmentFit:
-            moved = fit.delays.copy()
-            moved[j] = z[0]
-            return lagged.fit(moved, start, 2, tau)
-
-        z, longest = np.array([max(fit.delays[j] - tau[j], 0.0)]), np.array([fit.delays[j]])
-        step = max(2 * delays.widths[j], 0.1 * tau[j])
-        _, new, _ = search.descend(at, at(z, fit), z, np.zeros(1), longest, step, 0.02 * tau[j])
-        if best is None or new.cost < best.cost:
-            best, best_tau = new, float(tau[j])
+        tau = share * max(fit.delays[j], period)
+        z = np.array([max(fit.delays[j] - tau, 0.0), tau * np.log(tau)])
+        ends, step = np.array([[0.0, z[1]], [fit.delays[j], z[1]]]), max(2 * delays.widths[j], 0.1 * tau)
+        z, new, _ = search.descend(partial(at, unit=tau), at(z, fit, tau), z, *ends, step, 0.02 * tau)
+        rivals.append((new, z, tau))
         if not better(fit, new, delays.inflation):
             least = min(least, float(new.delays[j]))
-    if best is not None and better(best, fit, delays.inflation):
-        behind = float(best.delays[j]), best_tau
-    return Alternative(float(instead.lags[j]), as_good, False, least, behind)
+    new, z, tau = min(rivals, key=lambda rival: rival[0].cost)
+    found = Alternative(float(instead.lags[j]), as_good, False, least, None, None)
+    if not better(new, fit, delays.inflation):
+        return found
+    problem = lagged.rescaled(new)
+    rival = partial(at, unit=tau, problem=problem)
+    ends = np.array([[0.0, tau * np.log(0.2 * period)], [high, tau * np.log(max(high, period))]])
+    z, new, widths = search.descend(rival, rival(z, new), z, *ends, 0.1 * tau, 0.02 * tau)
+    level = float(levels_of(new, correlation_time(new.residuals), problem)[j])
+    profile = search.profile(rival, new, z, 0, *ends, widths, level + search.FAR)
+    interval = search.interval(profile.values, profile.costs - profile.costs.min(), level)
+    return replace(found, behind=(float(z[0]), float(np.exp(z[1] / tau))), interval=interval)
+
+
+def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
+    """The fit with commands in straight lines between the rows, and the intervals of its delays."""
+    segments, fit = delays.problem.segments, delays.fit
+    problem = replace(delays.problem, segments=replace(segments, log=segments.log.as_lines()))
+    begin = problem.fit(fit.delays + np.median(np.diff(segments.log.t_U)) / 2, fit, 4)  # held ones lag by that
+    step, least = float(delays.widths.max()), FINEST * segments.log.period
+    _, begin, widths = search.descend(problem.at, begin, begin.delays, low, high, step, least)
+    found = profiled(problem, begin, widths, low, high)
+    alike = not better(fit, begin, delays.inflation)
+    return Lines(found.fit.delays, found.interval, alike, better(begin, fit, delays.inflation))
 
 
 def held_back(delays: Delays, high: np.ndarray) -> Validation:

@@ -118,13 +118,43 @@ def test_a_delay_that_jumps_is_seen_over_windows():
     early, late = decayed(0.2, 0.005, 4, 700), decayed(0.6, 0.005, 4, 700)
     t, U, X = early
     X = np.where((t < 17.5)[:, None], X, late[2])  # the same samples: only the delay is another
-    found = npred.identify(decay(), t, U, X, longest=1.2, time_varying=True)
-    windows = found.windows
-    assert windows is not None and "windows of time the delay of U is" in str(found)
+    found = npred.identify(decay(), t, U, X, longest=1.2)
+    windows, (low, high) = found.windows, found.interval[0]
+    assert windows is not None and "windows of the log have different ones" in str(found)
+    assert not found.identifiable[0] and low <= 0.2 and high >= 0.6 and abs(found.D[0] - 0.6) < PERIOD
     assert (
         np.abs(windows.D[windows.t < 16] - 0.2).max() < PERIOD
         and np.abs(windows.D[windows.t > 20] - 0.6).max() < PERIOD
     )
+
+
+def test_windows_are_said_where_they_are_asked_for():
+    found = npred.identify(decay(), *decayed(0.337), longest=1.5, time_varying=True)
+    assert "windows of time the delay of U is" in str(found) and "a constant delay fits all of them" in str(found)
+    assert found.identifiable.all() and found.windows is not None
+
+
+def test_commands_between_the_rows_may_be_half_a_row_older():
+    """Ten commands in a row of the log, which has the first one of each."""
+    step, rng = PERIOD / 10, np.random.default_rng(3)
+    t, rates, phases = np.arange(5000) * step, rng.uniform(0.5, 9, 12), rng.uniform(0, 7, 12)
+    u, X, late = np.sin(np.multiply.outer(t, rates) + phases).sum(axis=1) / 3, np.zeros(5000), round(0.3 / step)
+    for k in range(4999):
+        held = u[max(k - late, 0)]
+        X[k + 1] = 2 * held + (X[k] - 2 * held) * np.exp(-0.5 * step)
+    table = t[::10], u[::10], X[::10] + 0.02 * rng.standard_normal(500)
+    found = npred.identify(decay(), *table, longest=1.0)
+    assert found.identifiable.all() and found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
+    assert "in straight lines" in str(found)
+    exact = npred.identify(decay(), *table, longest=1.0, hold="linear")
+    assert abs(exact.D[0] - 0.3) < 0.1 * PERIOD and np.ptp(exact.interval) < np.ptp(found.interval)
+
+
+def test_a_mode_that_the_plant_lacks_is_no_certain_delay():
+    f = lambda x, u: np.array([x[1], 9.0 * (2 * u[0] - x[0]) - 1.5 * x[1]])
+    table = recording(f, [0.0, 0.0], steps(500, 1, 20, 5), [0.3], PERIOD, 0.01, 5, outputs=1)
+    found = npred.identify(decay(), *table, longest=1.5, free=["a", "b"])
+    assert not found.identifiable.any() and found.details["findings"].following > 0.3, found
 
 
 def still(seed: int):

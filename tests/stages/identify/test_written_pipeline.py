@@ -133,6 +133,13 @@ def test_an_input_whose_delay_is_open_has_the_middle_of_its_range():
     assert "The delay of q is not identifiable: it is the middle of its range, 1.5 s" in remarks
 
 
+def test_a_delay_that_changes_begins_at_that_of_the_last_window_within_bounds_that_hold_all():
+    windows = {"t": [10.0, 20.0], "D": [[2.4], [3.9]], "interval": [[(2.3, 2.5)], [(3.8, 4.0)]]}
+    pipeline, remarks = made("Room", [3.9], [(2.3, 4.0)], 0.25, identifiable=[False], windows=windows)
+    assert pipeline.evaluate.D_hat == 3.9 and pipeline.evaluate.bounds == (2.3, 4.0)
+    assert "It begins at that of the last window, 3.9 h" in remarks
+
+
 @pytest.mark.slow
 def test_tune_takes_the_pipeline_of_a_range():
     made("Steered", [1.0], [(0.0, 8.0)], 0.25, identifiable=[False])

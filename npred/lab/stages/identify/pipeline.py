@@ -46,7 +46,8 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     values = asked.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters}
     plant = plants.resolve(asked.plant, values, law)
     ends, time = np.array(result.interval), plant.time_text
-    delays = np.maximum(np.where(result.identifiable, result.D, ends.mean(axis=1)), 0.0)
+    begin = np.clip(result.windows["D"][-1], *ends.T) if result.windows else ends.mean(axis=1)
+    delays = np.maximum(np.where(result.identifiable, result.D, begin), 0.0)
     longest = int(delays.argmax())
     observed = problem_of(plant).refusal("observer") is None
 
@@ -64,11 +65,12 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     if not certain:
         D, span = _short(low + WORST * (high - low)), f"{time(low)} to {time(high)}"
         remarks.append(f"The delay is not identifiable, and was accepted as a range: D_hat is within {span}.")
-        remarks.append(f"It begins in the middle, {time(D_hat)}; the simulated delay is near the long end, {time(D)}.")
+        where = "at that of the last window" if result.windows else "in the middle"
+        remarks.append(f"It begins {where}, {time(D_hat)}; the simulated delay is near the long end, {time(D)}.")
     for j, name in enumerate(plant.inputs):
         if j != longest and not result.identifiable[j]:
-            middle = time(delays[j], ".4g")
-            remarks.append(f"The delay of {name} is not identifiable: it is the middle of its range, {middle}.")
+            which = "that of the last window" if result.windows else "the middle of its range"
+            remarks.append(f"The delay of {name} is not identifiable: it is {which}, {time(delays[j], '.4g')}.")
     if delays[longest] < dt:
         remarks.append(f"The delay is shorter than a control step, the least that a loop can have: D = {time(D)}.")
     if not observed:

@@ -1,0 +1,219 @@
+"""What speaks against an answer about a delay: a table of objections that take its certainty, and what widens it.
+
+An objection is a sentence about input j, or "" where it does not hold; the first one that holds is said. `settled`
+gives the least interval that holds all that was seen.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from npred.identification.alternatives import Alternative, Lines, Validation
+from npred.identification.estimate import MISSING, Combination, Parameter
+from npred.identification.windows import Windows
+from npred.plants import Plant
+
+CLOSED = 0.97  # R² by the outputs: the commands are those of a law
+CERTAIN = 0.5  # share of the range of delays: a wider interval says nothing
+FAR = 4.0  # times what was allowed: a parameter that explains something else
+POOR = 0.3  # share of the spread of the outputs: so large errors that keep their sign are no noise
+LONG = 5.0  # samples for which they do
+FOLLOWING = 0.3  # R² of errors by commands: the plant answers these otherwise than the model
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """All that is known of the delays of a log."""
+
+    plant: Plant
+    D: np.ndarray
+    early: np.ndarray  # (m,) below zero where the log clearly fits best with an input before its command
+    interval: np.ndarray
+    high: np.ndarray  # (m,) the longest delays that were tried
+    period: float
+    alternatives: list[Alternative]
+    lines: Lines | None  # commands in straight lines, where they may move so
+    late: np.ndarray  # (m,) how much older than their rows commands may be in the mean
+    windows: Windows
+    varies: np.ndarray  # (m,) no constant delay fits the log and all of them
+    lagged: np.ndarray  # (m,) a lag behind a delay that is far shorter fits about as well
+    still: np.ndarray  # (m,) inputs that never change
+    alike: list[tuple[int, int]]  # inputs that move together
+    recurring: np.ndarray  # (m,) after which time an input repeats itself, infinite where it does not
+    parameters: Mapping[str, Parameter]
+    assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
+    combination: Combination | None
+    inflation: float
+    share: float  # of errors that keep their sign, in the spread of the outputs
+    following: float  # how much of the errors follows the commands, R²
+    accurate: bool
+    several: bool  # other minima are as good
+    closed: float  # how much of the commands follows the outputs, R²
+    validation: Validation
+
+    @property
+    def refused(self) -> bool:
+        """True if the log contradicts the model, or its rollouts are not exact."""
+        return self.validation.better is not None or not self.accurate
+
+    @property
+    def silent(self) -> bool:
+        """True if the log tells nothing of the delays and parameters."""
+        return self.refused or self.closed > CLOSED
+
+    @property
+    def identifiable(self) -> np.ndarray:
+        """(m,) True where the log tells the delay."""
+        return np.array([not (self.refused or self.doubt(j)) for j in range(len(self.D))])
+
+    def doubt(self, j: int) -> str:
+        """Why the log does not tell this delay, and what to do: the first objection that holds, or "" for none."""
+        return next((words for objection in OBJECTIONS if (words := objection(self, j))), "")
+
+    def span(self, j: int) -> str:
+        """The interval in words."""
+        low, high = (self.plant.time_text(end, ".4g") for end in self.interval[j])
+        return f"{low} to {high}"
+
+
+Objection = Callable[[Evidence, int], str]
+
+
+def still(found: Evidence, j: int) -> str:
+    name = found.plant.inputs[j]
+    return f"{name} never changes. Record steps of it." if found.still[j] else ""
+
+
+def together(found: Evidence, j: int) -> str:
+    both = next((" and ".join(found.plant.inputs[i] for i in pair) for pair in found.alike if j in pair), "")
+    return f"{both} move together. Record steps of one while the other is at rest." if both else ""
+
+
+def closed(found: Evidence, j: int) -> str:
+    said = "the commands follow the outputs: the log is of a closed loop without a test signal. Add one."
+    return said if found.closed > CLOSED else ""
+
+
+def before_its_command(found: Evidence, j: int) -> str:
+    if not found.early[j] < 0:
+        return ""
+    name, early = found.plant.inputs[j], found.plant.time_text(-found.early[j], ".3g")
+    cure = "logged late, or it is not constant between two rows: check the clocks, try --hold linear."
+    said = f"the log fits best with {name} {early} before its command. Either it is {cure}"
+    return f"{said} Any delay of {found.span(j)} is possible."
+
+
+def another_plant(found: Evidence, j: int) -> str:
+    far = any(abs(deviations) > FAR for deviations in found.assumed.values())
+    return "the plant, with its parameters, does not explain the log." if far else ""
+
+
+def recurring(found: Evidence, j: int) -> str:
+    if not found.recurring[j] < found.high[j]:
+        return ""
+    after = f"{found.plant.inputs[j]} repeats itself after {found.plant.time_text(found.recurring[j], '.3g')}"
+    return f"{after}, so a delay is known only up to that time: {found.span(j)}. Record steps at random times."
+
+
+def several(found: Evidence, j: int) -> str:
+    best = found.plant.time_text(found.D[j], ".3g")
+    said = (
+        f"several delays of {found.span(j)} fit about equally well; {best} is the best. Record steps at random times."
+    )
+    return said if found.several else ""
+
+
+def a_lag(found: Evidence, j: int) -> str:
+    if not (other := found.alternatives[j]).explains:
+        return ""
+    lag, best = (found.plant.time_text(span, ".3g") for span in (other.lag, found.D[j]))
+    cure = (
+        f"To tell a delay from a lag, record sharp steps of {found.plant.inputs[j]}, with more samples after each step."
+    )
+    said = f"a first-order lag of {lag} explains the log as well as a delay of {best}, or better."
+    return f"{said} Any delay of {found.span(j)} is possible.\n{cure}"
+
+
+def varying(found: Evidence, j: int) -> str:
+    if not found.varies[j]:
+        return ""
+    D = ", ".join(found.plant.time_text(each, ".3g") for each in found.windows.D[:, j])
+    said = f"windows of the log have different ones, in their order {D}. It changes, a clock drifts, or an actuator has"
+    return f"{said} a limit: any delay of {found.span(j)} is possible."
+
+
+def a_lag_behind(found: Evidence, j: int) -> str:
+    if not found.lagged[j]:
+        return ""
+    if not (behind := found.alternatives[j].behind):
+        return f"a shorter delay with a lag behind it fits about equally well: {found.span(j)}. Record sharper steps."
+    delay, lag = (found.plant.time_text(each, ".3g") for each in behind)
+    said = f"a delay of {delay} with a first-order lag of {lag} behind it fits clearly better: {found.span(j)}."
+    return f"{said} Add a state for the lag to the plant."
+
+
+def poor(found: Evidence, j: int) -> str:
+    long = f"keep their sign for {found.inflation:.1f} samples"
+    if found.following > FOLLOWING and found.inflation > MISSING:
+        said = f"the model's errors {long}, and {found.following:.0%} of them follow the commands"
+        return f"{said}: the plant has more states, or a mode. Add them."
+    if found.share > POOR and found.inflation > LONG:
+        said = f"the model is poor: its errors {long}, and are {found.share:.0%} of the spread of the outputs"
+        return f"{said}. Check the plant."
+    return ""
+
+
+def beyond(found: Evidence, j: int) -> str:
+    longest, (low, high) = found.high[j], found.interval[j]
+    tried = f"the log fits {'any delay' if low <= 0 else 'delays'} of {found.span(j)}, the longest that was tried."
+    said = f"{tried} Record larger steps of {found.plant.inputs[j]}, or try longer delays."
+    return said if high >= longest - 1e-9 * longest else ""
+
+
+def wide(found: Evidence, j: int) -> str:
+    low, high = found.interval[j]
+    unclear = high - low > CERTAIN * found.high[j] or (low <= 0 and high > found.period)  # none, or any up to there
+    return f"any delay of {found.span(j)} fits. Record larger steps of {found.plant.inputs[j]}." if unclear else ""
+
+
+OBJECTIONS: tuple[Objection, ...] = (
+    still, together, closed, before_its_command, another_plant, recurring, several, a_lag, varying, poor, beyond,
+    a_lag_behind, wide,
+)  # fmt: skip
+
+
+def settled(found: Evidence) -> Evidence:
+    """The same, each interval being the least one that holds all that was seen.
+
+    An input acts after its command; if the log says before, its stamp or its samples are off by a period or so.
+    """
+    D, interval, period = found.D.copy(), found.interval.copy(), found.period
+    varies, lagged = np.zeros(len(D), dtype=bool), np.zeros(len(D), dtype=bool)
+    older = np.stack([0 * found.late, found.late], axis=1)  # (m, 2)
+    interval, windows = interval + older, replace(found.windows, interval=found.windows.interval + older)
+    for j, (ends, other, high) in enumerate(zip(interval, found.alternatives, found.high, strict=True)):
+        varies[j] = windows.vary(j, ends)
+        lagged[j] = bool(other.interval) and other.interval[1] + found.late[j] < ends[0]
+        rivals = [other.interval] if other.interval else []
+        rivals += [found.lines.interval[j]] if found.lines and found.lines.alike else []
+        seen = [
+            (min(ends[0], 0.0) if other.as_good else ends[0], ends[1]),
+            *((low, top + found.late[j]) for low, top in rivals),
+        ]
+        if varies[j]:  # what comes next is most like the last window
+            seen, D[j] = [*seen, windows.seen(j, high)], windows.D[-1, j]
+        ends[:] = min(low for low, _ in seen), max(top for _, top in seen)
+        D[j] += found.late[j] / 2
+        if ends[0] < -period < 0 <= ends[1]:  # a log that cannot exclude that tells no delay
+            ends[1] = max(ends[1], 1.01 * period)
+        ends[:] = max(ends[0], 0.0), max(ends[1], other.lag if other.short else 0.0) if ends[1] >= 0 else period
+        if (again := found.recurring[j]) < high:  # a delay is known up to that time only
+            ends[:] = ends[0] - again * (ends[0] // again), ends[1] + again * ((high - ends[1]) // again)
+        lagged[j] |= other.least < min(0.5 * ends[0], ends[0] - np.ptp(ends))
+        if found.silent:
+            ends[:] = 0.0, high
+    found = replace(found, D=np.maximum(D, 0.0), interval=interval, windows=windows, varies=varies, lagged=lagged)
+    for ends, other, certain in zip(interval, found.alternatives, found.identifiable, strict=True):
+        ends[0] = ends[0] if certain else min(ends[0], other.least)
+    return found
