@@ -138,7 +138,8 @@ def a_lag(found: Evidence, j: int) -> str:
 def varying(found: Evidence, j: int) -> str:
     if not found.varies[j]:
         return ""
-    D = ", ".join(found.plant.time_text(each, ".3g") for each in found.windows.D[:, j])
+    telling = found.windows.D[found.windows.telling(j), j]
+    D = ", ".join(found.plant.time_text(each, ".3g") for each in telling)
     said = f"windows of the log have different ones, in their order {D}. It changes, a clock drifts, or an actuator has"
     return f"{said} a limit: any delay of {found.span(j)} is possible."
 
@@ -178,7 +179,7 @@ def wide(found: Evidence, j: int) -> str:
 
 
 OBJECTIONS: tuple[Objection, ...] = (
-    still, together, closed, before_its_command, another_plant, recurring, several, a_lag, varying, poor, beyond,
+    still, together, closed, varying, before_its_command, another_plant, recurring, several, a_lag, poor, beyond,
     a_lag_behind, wide,
 )  # fmt: skip
 
@@ -202,7 +203,8 @@ def settled(found: Evidence) -> Evidence:
             *((low, top + found.late[j]) for low, top in rivals),
         ]
         if varies[j]:  # what comes next is most like the last window
-            seen, D[j] = [*seen, windows.seen(j, high)], windows.D[-1, j]
+            over_time, D[j] = windows.seen(j)
+            seen.append(tuple(over_time))
         ends[:] = min(low for low, _ in seen), max(top for _, top in seen)
         D[j] += found.late[j] / 2
         if ends[0] < -period < 0 <= ends[1]:  # a log that cannot exclude that tells no delay

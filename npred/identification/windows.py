@@ -24,30 +24,32 @@ class Windows:
     D: np.ndarray
     interval: np.ndarray
     period: float
+    longest: np.ndarray  # (m,) delays that were tried
 
-    @property
-    def deviation(self) -> np.ndarray:
-        """(W, m) of each D, by its interval."""
-        return np.maximum(np.ptp(self.interval, axis=-1) / (2 * NORMAL), FINE * self.period)
+    def telling(self, j: int) -> np.ndarray:
+        """(W,) True for a window that tells the delay of input j."""
+        return np.ptp(self.interval[:, j], axis=-1) < TELLING * self.longest[j]
 
     def others(self, j: int, whole: np.ndarray) -> np.ndarray:
         """(W,) True where the delay of input j is not the one that the whole log has, its interval being (2,)."""
         low, high = self.interval[:, j].T
-        return (low > whole[1]) | (high < whole[0])
+        return self.telling(j) & ((low > whole[1]) | (high < whole[0]))
 
     def vary(self, j: int, whole: np.ndarray) -> bool:
         """True if no constant delay fits the whole log and all windows."""
-        weight, more = 1 / self.deviation[:, j] ** 2, len(self.t) - 1
-        Q = weight @ (self.D[:, j] - weight @ self.D[:, j] / weight.sum()) ** 2
+        D, ends = (each[self.telling(j), j] for each in (self.D, self.interval))
+        weight = np.maximum(np.ptp(ends, axis=-1) / (2 * NORMAL), FINE * self.period) ** -2
+        more = len(D) - 1
+        Q = weight @ (D - weight @ D / weight.sum()) ** 2 if more > 0 else 0.0
         return more > 0 and bool(self.others(j, whole).any() or more + APART * np.sqrt(2 * more) < Q)
 
-    def seen(self, j: int, longest: float) -> np.ndarray:
-        """(2,) all delays that a window tells; at the first one's begin and behind the last one if they go on so."""
-        D, (low, high) = self.D[:, j], self.interval[:, j].T
+    def seen(self, j: int) -> tuple[np.ndarray, float]:
+        """(2,) all delays that windows tell, at the first one's begin and behind the last one if they go on so; and the
+        delay of the last one. At least two have to tell it.
+        """
+        D, (low, high) = self.D[self.telling(j), j], self.interval[self.telling(j), j].T
         ends = 1.5 * D[0] - 0.5 * D[1], 2 * D[-1] - D[-2]
-        telling = high - low < TELLING * longest
-        telling[-1] = True  # what comes next is most like that
-        return np.clip([min(low[telling].min(), *ends), max(high[telling].max(), *ends)], 0.0, longest)
+        return np.clip([min(low.min(), *ends), max(high.max(), *ends)], 0.0, self.longest[j]), float(D[-1])
 
     def sentence(self, plant: Plant, j: int, whole: np.ndarray) -> str:
         """How the delay of input j goes over the windows."""
@@ -85,4 +87,4 @@ def over_time(delays: Delays, low: np.ndarray, high: np.ndarray) -> Windows:
         for place in [*places[beyond], *alike]:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
         rows.append(((part.segments.t[0, 0] + part.segments.t[-1, -1]) / 2, found.fit.delays, ends))
-    return Windows(*(np.array(column) for column in zip(*rows, strict=True)), period)
+    return Windows(*(np.array(column) for column in zip(*rows, strict=True)), period, high)

@@ -150,11 +150,12 @@ def test_commands_between_the_rows_may_be_half_a_row_older():
     assert abs(exact.D[0] - 0.3) < 0.1 * PERIOD and np.ptp(exact.interval) < np.ptp(found.interval)
 
 
-def test_a_mode_that_the_plant_lacks_is_no_certain_delay():
-    f = lambda x, u: np.array([x[1], 9.0 * (2 * u[0] - x[0]) - 1.5 * x[1]])
-    table = recording(f, [0.0, 0.0], steps(500, 1, 20, 5), [0.3], PERIOD, 0.01, 5, outputs=1)
+@pytest.mark.parametrize(("seed", "count"), [(5, 500), (6, 800)])
+def test_a_mode_that_the_plant_lacks_is_no_certain_delay(seed, count):
+    f = lambda x, u: np.array([x[1], 9.0 * (2 * u[0] - x[0]) - 2.4 * x[1]])
+    table = recording(f, [0.0, 0.0], steps(count, 1, 20, seed), [0.3], PERIOD, 0.01, seed, outputs=1)
     found = npred.identify(decay(), *table, longest=1.5, free=["a", "b"])
-    assert not found.identifiable.any() and found.details["findings"].following > 0.3, found
+    assert not found.identifiable.any() and "of them follow the commands" in str(found), found
 
 
 def still(seed: int):

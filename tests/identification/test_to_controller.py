@@ -66,7 +66,9 @@ HIGH = 1.5
 def windows(*D: float, half: float = 0.05) -> Windows:
     """Windows with these delays of one input, each known up to `half`."""
     middle = np.array(D)[:, None]
-    return Windows(np.arange(len(D)) + 0.5, middle, middle[..., None] + half * np.array([-1.0, 1.0]), 0.05)
+    return Windows(
+        np.arange(len(D)) + 0.5, middle, middle[..., None] + half * np.array([-1.0, 1.0]), 0.05, np.full(1, HIGH)
+    )
 
 
 def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findings:
@@ -204,5 +206,5 @@ def test_an_interval_holds_all_that_was_seen_and_an_answer_that_is_contradicted_
 def test_windows_differ_if_they_scatter_more_than_their_intervals_say(D, varies):
     found = windows(*D, half=0.02)
     assert found.vary(0, np.array([0.25, 0.35])) is varies
-    low, high = found.seen(0, 1.5)
-    assert low <= min(D) - 0.02 and high >= max(max(D) + 0.02, 2 * D[-1] - D[-2])
+    (low, high), last = found.seen(0)
+    assert last == D[-1] and low <= min(D) - 0.02 and high >= max(max(D) + 0.02, 2 * D[-1] - D[-2])
