@@ -172,9 +172,9 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
         if not better(fit, new, delays.inflation):
             least = min(least, float(new.delays[j]))
     new, z, tau = min(rivals, key=lambda rival: rival[0].cost)
-    found = Alternative(float(instead.lags[j]), as_good, False, least, None, None)
+    alone = Alternative(float(instead.lags[j]), as_good, False, least, None, None)
     if not better(new, fit, delays.inflation):
-        return found
+        return alone
     problem = lagged.rescaled(new)
     rival = partial(at, unit=tau, problem=problem)
     ends = np.array([[0.0, tau * np.log(0.2 * period)], [high, tau * np.log(max(high, period))]])
@@ -182,7 +182,7 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
     level = float(levels_of(new, correlation_time(new.residuals), problem)[j])
     profile = search.profile(rival, new, z, 0, *ends, widths, level + search.FAR)
     interval = search.interval(profile.values, profile.costs - profile.costs.min(), level)
-    return replace(found, behind=(float(z[0]), float(np.exp(z[1] / tau))), interval=interval)
+    return replace(alone, behind=(float(z[0]), float(np.exp(z[1] / tau))), interval=interval)
 
 
 def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
@@ -192,9 +192,9 @@ def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
     begin = problem.fit(fit.delays + np.median(np.diff(segments.log.t_U)) / 2, fit, 4)  # held ones lag by that
     step, least = float(delays.widths.max()), FINEST * segments.log.period
     _, begin, widths = search.descend(problem.at, begin, begin.delays, low, high, step, least)
-    found = profiled(problem, begin, widths, low, high)
+    minimum = profiled(problem, begin, widths, low, high)
     alike = not better(fit, begin, delays.inflation)
-    return Lines(found.fit.delays, found.interval, alike, better(begin, fit, delays.inflation))
+    return Lines(minimum.fit.delays, minimum.interval, alike, better(begin, fit, delays.inflation))
 
 
 def held_back(delays: Delays, high: np.ndarray) -> Validation:

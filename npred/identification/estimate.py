@@ -79,18 +79,18 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
     problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
     problem, fit, widths, accurate = _minimum(problem, few, fit, low, high)
-    around = profiled(problem, fit, widths, low, high)
-    problem, fit, inflation, profiles = around.problem, around.fit, around.inflation, around.profiles
+    minimum = profiled(problem, fit, widths, low, high)
+    problem, fit, inflation, profiles = minimum.problem, minimum.fit, minimum.inflation, minimum.profiles
     ends = np.empty((len(fit.delays), 2))
     for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
         low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
-        ends[j] = min(around.interval[j, 0], low_draw), max(around.interval[j, 1], high_draw)
-    others, grid = _other_minima(around, low, high)
+        ends[j] = min(minimum.interval[j, 0], low_draw), max(minimum.interval[j, 1], high_draw)
+    others, grid = _other_minima(minimum, low, high)
     for place, rise, _ in others:
         if rise < FEW * CLEAR * inflation:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
     others = [theta for *_, theta in others]
-    return Delays(problem, fit.delays, ends, fit, profiles, around.widths, inflation, others, grid, accurate)
+    return Delays(problem, fit.delays, ends, fit, profiles, minimum.widths, inflation, others, grid, accurate)
 
 
 @dataclass(frozen=True)
@@ -193,15 +193,15 @@ def _starts(problem: Problem, low: np.ndarray, high: np.ndarray) -> list[Problem
 
 
 def _other_minima(
-    found: Minimum, low: np.ndarray, high: np.ndarray
+    minimum: Minimum, low: np.ndarray, high: np.ndarray
 ) -> tuple[list[tuple[np.ndarray, float, np.ndarray]], list[SegmentFit]]:
     """Delays of local minima beyond the profiles, anywhere in the range, that are not clearly worse than the best, or
     by few segments alone; by how much; and the parameters there. Behind these, the fits of the scan.
     """
-    problem, fit, inflation, grid = found.problem, found.fit, found.inflation, []
+    problem, fit, inflation, grid = minimum.problem, minimum.fit, minimum.inflation, []
     coarse, period = problem.some(COARSE), problem.segments.log.period
     best = coarse.fit(fit.delays, replace(coarse.begun(fit), theta=fit.best_theta))
-    ends = np.array([[p.values[0], p.values[-1]] for p in found.profiles]).T
+    ends = np.array([[p.values[0], p.values[-1]] for p in minimum.profiles]).T
     inner, outer = np.minimum(ends[0], fit.delays - period), np.maximum(ends[1], fit.delays + period)
 
     def at(z: np.ndarray, _: SegmentFit | None) -> SegmentFit:

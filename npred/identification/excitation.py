@@ -39,7 +39,7 @@ def smooth(log: Log) -> np.ndarray:
     return steps < SHARP * np.ptp(log.U, axis=0)
 
 
-class Rows(NamedTuple):
+class BetweenRows(NamedTuple):
     """What a log does not show of its commands between two rows.
 
     `late` (m,) is how much older than its row a command may be in the mean, where rows of a regular clock are missing;
@@ -50,7 +50,7 @@ class Rows(NamedTuple):
     moving: bool
 
 
-def between_rows(log: Log) -> Rows:
+def between_rows(log: Log) -> BetweenRows:
     """What the log does not show of its commands between two rows."""
     gaps, steps = np.diff(log.t_U), np.abs(np.diff(log.U, axis=0))
     period = np.median(gaps[gaps < MISSING * np.quantile(gaps, 0.1)])
@@ -58,7 +58,7 @@ def between_rows(log: Log) -> Rows:
     regular = np.mean(np.abs(count - np.round(count)) < OFF) > REGULAR
     older = np.where((count > MISSING) & (count < GAP) & regular, gaps - period, 0.0)
     total = np.maximum((steps**2).sum(axis=0), 1e-300)
-    return Rows(older @ steps**2 / total, bool(((steps > 0).mean(axis=0) > 0.5).any() and smooth(log).any()))
+    return BetweenRows(older @ steps**2 / total, bool(((steps > 0).mean(axis=0) > 0.5).any() and smooth(log).any()))
 
 
 def recurring(log: Log, longest: np.ndarray) -> np.ndarray:

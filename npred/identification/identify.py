@@ -14,7 +14,7 @@ from npred.formulas import programs
 from npred.formulas.trace import Trace
 from npred.identification import alternatives, excitation, recordings, screening, windows
 from npred.identification.estimate import estimate, lasting, parameters
-from npred.identification.excitation import Rows
+from npred.identification.excitation import BetweenRows
 from npred.identification.fit import CHECKED, Prior, Problem
 from npred.identification.identified import Findings, Identified
 from npred.identification.log import Log, Segments, mean_square, spread
@@ -169,8 +169,8 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
     with np.errstate(all="ignore"):  # a model that runs away is no fault of the program
         answer = _best(plant, log.as_lines() if straight else log.held(), settings, rows)
         other = None
-        found = answer.details["findings"]
-        if settings.hold is None and ((found.early < 0).any() or (found.lines and found.lines.better)):
+        findings = answer.details["findings"]
+        if settings.hold is None and ((findings.early < 0).any() or (findings.lines and findings.lines.better)):
             other = _best(plant, log.as_lines(), settings, rows._replace(moving=False))
     if other:
         sizes = [each.details["estimate"].size for each in (answer, other)]
@@ -181,7 +181,7 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
     return replace(answer, sentences=[*notes, *bad, *answer.sentences])
 
 
-def _best(plant: Plant, log: Log, settings: Settings, rows: Rows) -> Identified:
+def _best(plant: Plant, log: Log, settings: Settings, rows: BetweenRows) -> Identified:
     """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
     early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
     moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
@@ -207,7 +207,7 @@ def _begins_held(answer: Identified) -> bool:
     return bool(mean_square(r).max() < LARGER * max(mean_square(estimate.fit.residuals).max(), 1e-300))
 
 
-def _answer(plant: Plant, log: Log, settings: Settings, rows: Rows, whole: bool) -> Identified:
+def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole: bool) -> Identified:
     """The answer by the whole log, or by what comes after the longest delay."""
     problem, low, high = prepared(plant, log, settings, whole)
     delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))

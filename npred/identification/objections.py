@@ -80,102 +80,105 @@ class Evidence:
 Objection = Callable[[Evidence, int], str]
 
 
-def still(found: Evidence, j: int) -> str:
-    name = found.plant.inputs[j]
-    return f"{name} never changes. Record steps of it." if found.still[j] else ""
+def still(evidence: Evidence, j: int) -> str:
+    name = evidence.plant.inputs[j]
+    return f"{name} never changes. Record steps of it." if evidence.still[j] else ""
 
 
-def together(found: Evidence, j: int) -> str:
-    both = next((" and ".join(found.plant.inputs[i] for i in pair) for pair in found.alike if j in pair), "")
+def together(evidence: Evidence, j: int) -> str:
+    both = next((" and ".join(evidence.plant.inputs[i] for i in pair) for pair in evidence.alike if j in pair), "")
     return f"{both} move together. Record steps of one while the other is at rest." if both else ""
 
 
-def closed(found: Evidence, j: int) -> str:
+def closed(evidence: Evidence, j: int) -> str:
     said = "the commands follow the outputs: the log is of a closed loop without a test signal. Add one."
-    return said if found.closed > CLOSED else ""
+    return said if evidence.closed > CLOSED else ""
 
 
-def before_its_command(found: Evidence, j: int) -> str:
-    if not found.early[j] < 0:
+def before_its_command(evidence: Evidence, j: int) -> str:
+    if not evidence.early[j] < 0:
         return ""
-    name, early = found.plant.inputs[j], found.plant.time_text(-found.early[j], ".3g")
+    name, early = evidence.plant.inputs[j], evidence.plant.time_text(-evidence.early[j], ".3g")
     cure = "logged late, or it is not constant between two rows: check the clocks, try --hold linear."
     said = f"the log fits best with {name} {early} before its command. Either it is {cure}"
-    return f"{said} Any delay of {found.span(j)} is possible."
+    return f"{said} Any delay of {evidence.span(j)} is possible."
 
 
-def another_plant(found: Evidence, j: int) -> str:
-    far = any(abs(deviations) > FAR for deviations in found.assumed.values())
+def another_plant(evidence: Evidence, j: int) -> str:
+    far = any(abs(deviations) > FAR for deviations in evidence.assumed.values())
     return "the plant, with its parameters, does not explain the log." if far else ""
 
 
-def recurring(found: Evidence, j: int) -> str:
-    if not found.recurring[j] < found.high[j]:
+def recurring(evidence: Evidence, j: int) -> str:
+    if not evidence.recurring[j] < evidence.high[j]:
         return ""
-    after = f"{found.plant.inputs[j]} repeats itself after {found.plant.time_text(found.recurring[j], '.3g')}"
-    return f"{after}, so a delay is known only up to that time: {found.span(j)}. Record steps at random times."
+    after = f"{evidence.plant.inputs[j]} repeats itself after {evidence.plant.time_text(evidence.recurring[j], '.3g')}"
+    return f"{after}, so a delay is known only up to that time: {evidence.span(j)}. Record steps at random times."
 
 
-def several(found: Evidence, j: int) -> str:
-    best = found.plant.time_text(found.D[j], ".3g")
-    said = (
-        f"several delays of {found.span(j)} fit about equally well; {best} is the best. Record steps at random times."
-    )
-    return said if found.several else ""
+def several(evidence: Evidence, j: int) -> str:
+    best = evidence.plant.time_text(evidence.D[j], ".3g")
+    said = f"several delays of {evidence.span(j)} fit about equally well; {best} is the best."
+    return f"{said} Record steps at random times." if evidence.several else ""
 
 
-def a_lag(found: Evidence, j: int) -> str:
-    if not (other := found.alternatives[j]).explains:
+def a_lag(evidence: Evidence, j: int) -> str:
+    if not (other := evidence.alternatives[j]).explains:
         return ""
-    lag, best = (found.plant.time_text(span, ".3g") for span in (other.lag, found.D[j]))
-    cure = (
-        f"To tell a delay from a lag, record sharp steps of {found.plant.inputs[j]}, with more samples after each step."
-    )
+    lag, best = (evidence.plant.time_text(span, ".3g") for span in (other.lag, evidence.D[j]))
+    steps = f"sharp steps of {evidence.plant.inputs[j]}"
+    cure = f"To tell a delay from a lag, record {steps}, with more samples after each step."
     said = f"a first-order lag of {lag} explains the log as well as a delay of {best}, or better."
-    return f"{said} Any delay of {found.span(j)} is possible.\n{cure}"
+    return f"{said} Any delay of {evidence.span(j)} is possible.\n{cure}"
 
 
-def varying(found: Evidence, j: int) -> str:
-    if not found.varies[j]:
+def varying(evidence: Evidence, j: int) -> str:
+    if not evidence.varies[j]:
         return ""
-    telling = found.windows.D[found.windows.telling(j), j]
-    D = ", ".join(found.plant.time_text(each, ".3g") for each in telling)
+    telling = evidence.windows.D[evidence.windows.telling(j), j]
+    D = ", ".join(evidence.plant.time_text(each, ".3g") for each in telling)
     said = f"windows of the log have different ones, in their order {D}. It changes, a clock drifts, or an actuator has"
-    return f"{said} a limit: any delay of {found.span(j)} is possible."
+    return f"{said} a limit: any delay of {evidence.span(j)} is possible."
 
 
-def a_lag_behind(found: Evidence, j: int) -> str:
-    if not found.lagged[j]:
+def a_lag_behind(evidence: Evidence, j: int) -> str:
+    if not evidence.lagged[j]:
         return ""
-    if not (behind := found.alternatives[j].behind):
-        return f"a shorter delay with a lag behind it fits about equally well: {found.span(j)}. Record sharper steps."
-    delay, lag = (found.plant.time_text(each, ".3g") for each in behind)
-    said = f"a delay of {delay} with a first-order lag of {lag} behind it fits clearly better: {found.span(j)}."
+    if not (behind := evidence.alternatives[j].behind):
+        return (
+            f"a shorter delay with a lag behind it fits about equally well: {evidence.span(j)}. Record sharper steps."
+        )
+    delay, lag = (evidence.plant.time_text(each, ".3g") for each in behind)
+    said = f"a delay of {delay} with a first-order lag of {lag} behind it fits clearly better: {evidence.span(j)}."
     return f"{said} Add a state for the lag to the plant."
 
 
-def poor(found: Evidence, j: int) -> str:
-    long = f"keep their sign for {found.inflation:.1f} samples"
-    if found.following > FOLLOWING and found.inflation > MISSING:
-        said = f"the model's errors {long}, and {found.following:.0%} of them follow the commands"
+def poor(evidence: Evidence, j: int) -> str:
+    long = f"keep their sign for {evidence.inflation:.1f} samples"
+    if evidence.following > FOLLOWING and evidence.inflation > MISSING:
+        said = f"the model's errors {long}, and {evidence.following:.0%} of them follow the commands"
         return f"{said}: the plant has more states, or a mode. Add them."
-    if found.share > POOR and found.inflation > LONG:
-        said = f"the model is poor: its errors {long}, and are {found.share:.0%} of the spread of the outputs"
+    if evidence.share > POOR and evidence.inflation > LONG:
+        said = f"the model is poor: its errors {long}, and are {evidence.share:.0%} of the spread of the outputs"
         return f"{said}. Check the plant."
     return ""
 
 
-def beyond(found: Evidence, j: int) -> str:
-    longest, (low, high) = found.high[j], found.interval[j]
-    tried = f"the log fits {'any delay' if low <= 0 else 'delays'} of {found.span(j)}, the longest that was tried."
-    said = f"{tried} Record larger steps of {found.plant.inputs[j]}, or try longer delays."
+def beyond(evidence: Evidence, j: int) -> str:
+    longest, (low, high) = evidence.high[j], evidence.interval[j]
+    tried = f"the log fits {'any delay' if low <= 0 else 'delays'} of {evidence.span(j)}, the longest that was tried."
+    said = f"{tried} Record larger steps of {evidence.plant.inputs[j]}, or try longer delays."
     return said if high >= longest - 1e-9 * longest else ""
 
 
-def wide(found: Evidence, j: int) -> str:
-    low, high = found.interval[j]
-    unclear = high - low > CERTAIN * found.high[j] or (low <= 0 and high > found.period)  # none, or any up to there
-    return f"any delay of {found.span(j)} fits. Record larger steps of {found.plant.inputs[j]}." if unclear else ""
+def wide(evidence: Evidence, j: int) -> str:
+    low, high = evidence.interval[j]
+    unclear = high - low > CERTAIN * evidence.high[j] or (
+        low <= 0 and high > evidence.period
+    )  # none, or any up to there
+    return (
+        f"any delay of {evidence.span(j)} fits. Record larger steps of {evidence.plant.inputs[j]}." if unclear else ""
+    )
 
 
 OBJECTIONS: tuple[Objection, ...] = (
@@ -184,38 +187,38 @@ OBJECTIONS: tuple[Objection, ...] = (
 )  # fmt: skip
 
 
-def settled(found: Evidence) -> Evidence:
+def settled(evidence: Evidence) -> Evidence:
     """The same, each interval being the least one that holds all that was seen.
 
     An input acts after its command; if the log says before, its stamp or its samples are off by a period or so.
     """
-    D, interval, period = found.D.copy(), found.interval.copy(), found.period
+    D, interval, period = evidence.D.copy(), evidence.interval.copy(), evidence.period
     varies, lagged = np.zeros(len(D), dtype=bool), np.zeros(len(D), dtype=bool)
-    older = np.stack([0 * found.late, found.late], axis=1)  # (m, 2)
-    interval, windows = interval + older, replace(found.windows, interval=found.windows.interval + older)
-    for j, (ends, other, high) in enumerate(zip(interval, found.alternatives, found.high, strict=True)):
+    older = np.stack([0 * evidence.late, evidence.late], axis=1)  # (m, 2)
+    interval, windows = interval + older, replace(evidence.windows, interval=evidence.windows.interval + older)
+    for j, (ends, other, high) in enumerate(zip(interval, evidence.alternatives, evidence.high, strict=True)):
         varies[j] = windows.vary(j, ends)
-        lagged[j] = bool(other.interval) and other.interval[1] + found.late[j] < ends[0]
+        lagged[j] = bool(other.interval) and other.interval[1] + evidence.late[j] < ends[0]
         rivals = [other.interval] if other.interval else []
-        rivals += [found.lines.interval[j]] if found.lines and found.lines.alike else []
-        seen = [
+        rivals += [evidence.lines.interval[j]] if evidence.lines and evidence.lines.alike else []
+        intervals = [
             (min(ends[0], 0.0) if other.as_good else ends[0], ends[1]),
-            *((low, top + found.late[j]) for low, top in rivals),
+            *((low, top + evidence.late[j]) for low, top in rivals),
         ]
         if varies[j]:  # what comes next is most like the last window
             over_time, D[j] = windows.seen(j)
-            seen.append(tuple(over_time))
-        ends[:] = min(low for low, _ in seen), max(top for _, top in seen)
-        D[j] += found.late[j] / 2
+            intervals.append(tuple(over_time))
+        ends[:] = min(low for low, _ in intervals), max(top for _, top in intervals)
+        D[j] += evidence.late[j] / 2
         if ends[0] < -period < 0 <= ends[1]:  # a log that cannot exclude that tells no delay
             ends[1] = max(ends[1], 1.01 * period)
         ends[:] = max(ends[0], 0.0), max(ends[1], other.lag if other.short else 0.0) if ends[1] >= 0 else period
-        if (again := found.recurring[j]) < high:  # a delay is known up to that time only
-            ends[:] = ends[0] - again * (ends[0] // again), ends[1] + again * ((high - ends[1]) // again)
+        if (repeats := evidence.recurring[j]) < high:  # a delay is known up to that time only
+            ends[:] = ends[0] - repeats * (ends[0] // repeats), ends[1] + repeats * ((high - ends[1]) // repeats)
         lagged[j] |= other.least < min(0.5 * ends[0], ends[0] - np.ptp(ends))
-        if found.silent:
+        if evidence.silent:
             ends[:] = 0.0, high
-    found = replace(found, D=np.maximum(D, 0.0), interval=interval, windows=windows, varies=varies, lagged=lagged)
-    for ends, other, certain in zip(interval, found.alternatives, found.identifiable, strict=True):
+    evidence = replace(evidence, D=np.maximum(D, 0.0), interval=interval, windows=windows, varies=varies, lagged=lagged)
+    for ends, other, certain in zip(interval, evidence.alternatives, evidence.identifiable, strict=True):
         ends[0] = ends[0] if certain else min(ends[0], other.least)
-    return found
+    return evidence

@@ -75,16 +75,16 @@ def over_time(delays: Delays, low: np.ndarray, high: np.ndarray) -> Windows:
         begin = grid[int(costs.argmin())]
         fit = part.fit(begin.delays, replace(begin, X=begin.X[chosen], theta=problem.prior.mean), 4)
         _, fit, widths = search.descend(part.at, fit, fit.delays, low, high, period, FINEST * period)
-        found = profiled(part, fit, widths, low, high)
-        ends = found.interval
+        minimum = profiled(part, fit, widths, low, high)
+        ends = minimum.interval
         places = np.array([fit.delays for fit in grid])
-        rises = (costs - costs.min()) * max(found.fit.count, 1) / max(costs.min(), 1e-300)  # in sizes of the errors
-        reach = np.array([[p.values[0], p.values[-1]] for p in found.profiles]).T
-        beyond = ((places < reach[0]) | (places > reach[1])).any(axis=1) & (rises <= found.levels.min())
-        constant = found.problem.fit(delays.values, found.fit, 4)
-        clear = constant.cost - found.fit.cost > OTHER * CLEAR * found.inflation
-        alike = [] if clear and better(found.fit, constant, found.inflation) else [delays.values]
+        rises = (costs - costs.min()) * max(minimum.fit.count, 1) / max(costs.min(), 1e-300)  # in sizes of the errors
+        reach = np.array([[p.values[0], p.values[-1]] for p in minimum.profiles]).T
+        beyond = ((places < reach[0]) | (places > reach[1])).any(axis=1) & (rises <= minimum.levels.min())
+        constant = minimum.problem.fit(delays.values, minimum.fit, 4)
+        clear = constant.cost - minimum.fit.cost > OTHER * CLEAR * minimum.inflation
+        alike = [] if clear and better(minimum.fit, constant, minimum.inflation) else [delays.values]
         for place in [*places[beyond], *alike]:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-        rows.append(((part.segments.t[0, 0] + part.segments.t[-1, -1]) / 2, found.fit.delays, ends))
+        rows.append(((part.segments.t[0, 0] + part.segments.t[-1, -1]) / 2, minimum.fit.delays, ends))
     return Windows(*(np.array(column) for column in zip(*rows, strict=True)), period, high)
