@@ -17,6 +17,7 @@ from npred.identification.log import Segments, spread
 
 NONE = 1e-9  # in sampling periods: a shorter lag is none
 HELD_BACK = 0.25
+ALIKE = 0.05  # of the logarithm of errors: two ways to hold an input fit alike
 DECIDING = 5000  # samples, by which models are compared
 CLEARLY, MOSTLY = 1.25, 0.6  # a rival errs so much less, in this share of the segments: the model is contradicted
 ORDER = 4.0  # times the least cost: a fit that is not of another order
@@ -154,8 +155,14 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
     as_good = not better(delays.fit, instead.fit, delays.inflation)
     if as_good or not delays.values[j] > 0:
         return Alternative(float(instead.lags[j]), as_good, bool(instead.lags[j] < period), 0.0, None, None)
-    fit, least, rivals = delays.fit, float(delays.values[j]), []
-    lagged = delays.problem.with_lag()
+    return Alternative(float(instead.lags[j]), as_good, False, *_lag_behind(delays, j, high))
+
+
+def _lag_behind(
+    delays: Delays, j: int, high: float
+) -> tuple[float, tuple[float, float] | None, tuple[float, float] | None]:
+    """What `Alternative` calls `least`, `behind` and `interval`: that by the profile of the delay, over all lags."""
+    fit, lagged, period, rivals = delays.fit, delays.problem.with_lag(), delays.problem.segments.log.period, []
 
     def at(z: np.ndarray, start: SegmentFit | None, unit: float, problem: Problem = lagged) -> SegmentFit:
         """The fit with z: a delay, and the logarithm of a lag times `unit`."""
@@ -163,26 +170,27 @@ def of_input(delays: Delays, j: int, high: float) -> Alternative:
         moved[j], tau[j] = z[0], np.exp(z[1] / unit)
         return problem.fit(moved, start, 2, tau)
 
+    least = float(delays.values[j])
     for share in SHARES:
         tau = share * max(fit.delays[j], period)
         z = np.array([max(fit.delays[j] - tau, 0.0), tau * np.log(tau)])
-        ends, step = np.array([[0.0, z[1]], [fit.delays[j], z[1]]]), max(2 * delays.widths[j], 0.1 * tau)
-        z, new, _ = search.descend(partial(at, unit=tau), at(z, fit, tau), z, *ends, step, 0.02 * tau)
+        bottom, top = np.array([0.0, z[1]]), np.array([fit.delays[j], z[1]])
+        step = max(2 * delays.widths[j], 0.1 * tau)
+        z, new, _ = search.descend(partial(at, unit=tau), at(z, fit, tau), z, bottom, top, step, 0.02 * tau)
         rivals.append((new, z, tau))
         if not better(fit, new, delays.inflation):
             least = min(least, float(new.delays[j]))
     new, z, tau = min(rivals, key=lambda rival: rival[0].cost)
-    alone = Alternative(float(instead.lags[j]), as_good, False, least, None, None)
     if not better(new, fit, delays.inflation):
-        return alone
+        return least, None, None
     problem = lagged.rescaled(new)
     rival = partial(at, unit=tau, problem=problem)
-    ends = np.array([[0.0, tau * np.log(0.2 * period)], [high, tau * np.log(max(high, period))]])
-    z, new, widths = search.descend(rival, rival(z, new), z, *ends, 0.1 * tau, 0.02 * tau)
+    bottom, top = np.array([0.0, tau * np.log(0.2 * period)]), np.array([high, tau * np.log(max(high, period))])
+    z, new, widths = search.descend(rival, rival(z, new), z, bottom, top, 0.1 * tau, 0.02 * tau)
     level = float(levels_of(new, correlation_time(new.residuals), problem)[j])
-    profile = search.profile(rival, new, z, 0, *ends, widths, level + search.FAR)
+    profile = search.profile(rival, new, z, 0, bottom, top, widths, level + search.FAR)
     interval = search.interval(profile.values, profile.costs - profile.costs.min(), level)
-    return replace(alone, behind=(float(z[0]), float(np.exp(z[1] / tau))), interval=interval)
+    return least, (float(z[0]), float(np.exp(z[1] / tau))), interval
 
 
 def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
@@ -193,7 +201,7 @@ def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
     step, least = float(delays.widths.max()), FINEST * segments.log.period
     _, begin, widths = search.descend(problem.at, begin, begin.delays, low, high, step, least)
     minimum = profiled(problem, begin, widths, low, high)
-    alike = not better(fit, begin, delays.inflation)
+    alike = problem.size_of(begin) < delays.problem.size_of(fit) + ALIKE
     return Lines(minimum.fit.delays, minimum.interval, alike, better(begin, fit, delays.inflation))
 
 

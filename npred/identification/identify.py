@@ -26,7 +26,6 @@ from npred.plants.base import require
 
 SETTLING, LARGER = 10, 2.0  # periods of a begin, and mean squares of its errors, times those of the whole log
 DEGREES = ("deg", "°")  # how a unit of angles begins
-ALIKE = 0.05  # of the logarithm of errors: two ways to hold an input fit alike
 FAR = 3.0  # widths of the box beyond it
 EARLY_SHARE = 0.5  # of the range of a command, within the longest delay: the answer may be there
 MODEL_ERROR = 0.05
@@ -174,7 +173,7 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
             other = _best(plant, log.as_lines(), settings, rows._replace(moving=False))
     if other:
         sizes = [each.details["estimate"].size for each in (answer, other)]
-        if sizes[1] < sizes[0] + (ALIKE if (other.details["findings"].early >= 0).all() else 0.0):
+        if sizes[1] < sizes[0] + (alternatives.ALIKE if (other.details["findings"].early >= 0).all() else 0.0):
             answer = other
             share = np.exp(sizes[1] - sizes[0])
             bad.append(f"Inputs in straight lines fit better than held ones, with errors {share:.2f} times as large.")

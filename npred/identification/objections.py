@@ -6,6 +6,7 @@ gives the least interval that holds all that was seen.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -63,6 +64,11 @@ class Evidence:
         return self.refused or self.closed > CLOSED
 
     @property
+    def incomplete(self) -> bool:
+        """True if the plant answers commands otherwise than the model: states that this lacks may delay them, too."""
+        return self.following > FOLLOWING and self.inflation > MISSING
+
+    @property
     def identifiable(self) -> np.ndarray:
         """(m,) True where the log tells the delay."""
         return np.array([not (self.refused or self.doubt(j)) for j in range(len(self.D))])
@@ -77,6 +83,7 @@ class Evidence:
         return f"{low} to {high}"
 
 
+E = TypeVar("E", bound=Evidence)
 Objection = Callable[[Evidence, int], str]
 
 
@@ -154,12 +161,12 @@ def a_lag_behind(evidence: Evidence, j: int) -> str:
 
 
 def poor(evidence: Evidence, j: int) -> str:
-    long = f"keep their sign for {evidence.inflation:.1f} samples"
-    if evidence.following > FOLLOWING and evidence.inflation > MISSING:
-        said = f"the model's errors {long}, and {evidence.following:.0%} of them follow the commands"
-        return f"{said}: the plant has more states, or a mode. Add them."
+    long = f"errors keep their sign for {evidence.inflation:.1f} samples"
+    if evidence.incomplete:
+        said = f"its {long}, and {evidence.following:.0%} of them follow the commands. Add the states or the mode"
+        return f"the plant has more states than the model: {said}. Any delay of {evidence.span(j)} is possible."
     if evidence.share > POOR and evidence.inflation > LONG:
-        said = f"the model is poor: its errors {long}, and are {evidence.share:.0%} of the spread of the outputs"
+        said = f"the model is poor: its {long}, and are {evidence.share:.0%} of the spread of the outputs"
         return f"{said}. Check the plant."
     return ""
 
@@ -187,7 +194,7 @@ OBJECTIONS: tuple[Objection, ...] = (
 )  # fmt: skip
 
 
-def settled(evidence: Evidence) -> Evidence:
+def settled(evidence: E) -> E:
     """The same, each interval being the least one that holds all that was seen.
 
     An input acts after its command; if the log says before, its stamp or its samples are off by a period or so.
@@ -202,7 +209,7 @@ def settled(evidence: Evidence) -> Evidence:
         rivals = [other.interval] if other.interval else []
         rivals += [evidence.lines.interval[j]] if evidence.lines and evidence.lines.alike else []
         intervals = [
-            (min(ends[0], 0.0) if other.as_good else ends[0], ends[1]),
+            (min(ends[0], 0.0) if other.as_good or evidence.incomplete else ends[0], ends[1]),
             *((low, top + evidence.late[j]) for low, top in rivals),
         ]
         if varies[j]:  # what comes next is most like the last window

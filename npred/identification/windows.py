@@ -87,4 +87,5 @@ def over_time(delays: Delays, low: np.ndarray, high: np.ndarray) -> Windows:
         for place in [*places[beyond], *alike]:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
         rows.append(((part.segments.t[0, 0] + part.segments.t[-1, -1]) / 2, minimum.fit.delays, ends))
-    return Windows(*(np.array(column) for column in zip(*rows, strict=True)), period, high)
+    t, D, interval = (np.array(column) for column in zip(*rows, strict=True))
+    return Windows(t, D, interval, period, high)

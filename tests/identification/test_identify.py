@@ -156,6 +156,7 @@ def test_a_mode_that_the_plant_lacks_is_no_certain_delay(seed, count):
     table = recording(f, [0.0, 0.0], steps(count, 1, 20, seed), [0.3], PERIOD, 0.01, seed, outputs=1)
     found = npred.identify(decay(), *table, longest=1.5, free=["a", "b"])
     assert not found.identifiable.any() and "of them follow the commands" in str(found), found
+    assert found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
 
 
 def still(seed: int):

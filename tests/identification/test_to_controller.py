@@ -130,7 +130,7 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
         ({"recurring": np.full(1, 1.0)}, "U repeats itself after 1 s"),
         ({"several": True}, "several delays of 0.25 s to 0.35 s fit about equally well"),
         ({"varies": np.ones(1, dtype=bool)}, "windows of the log have different ones, in their order 0.3 s, 0.3 s."),
-        ({"inflation": 2.1, "following": 0.6}, "60% of them follow the commands: the plant has more states"),
+        ({"inflation": 2.1, "following": 0.6}, "60% of them follow the commands. Add the states or the mode"),
         (
             {"inflation": 5.1, "share": 0.5},
             "the model is poor: its errors keep their sign for 5.1 samples, and are 50%",
