@@ -258,7 +258,8 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
         plant, findings.D, findings.interval, findings.identifiable, findings.silent,
         {name: row.value for name, row in asked.items()}, {name: (row.low, row.high) for name, row in asked.items()},
         findings.validation.errors, [*lines, *_far(plant, log), *findings.sentences], windows,
-        {"estimate": delays, "log": log, "early": early, "combination": combination},
+        {"estimate": delays, "log": log, "early": early, "combination": combination,
+         "validation": findings.validation},
     )  # fmt: skip
 
 
