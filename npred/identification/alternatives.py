@@ -206,10 +206,10 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
     squares = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
     grid = [share * high for share in np.linspace(0.0, 1.0, 25)]
     squares["static"] = static_error(train.segments, later.segments, [z, *grid])
-    found = validated(squares, spread(segments.log.Y))
+    validation = validated(squares, spread(segments.log.Y))
     lags = {name: each.lags for name, each in candidates.items() if each.lags is not None}
     judged = np.isfinite(later.segments.Y[:, _third(later.segments) :]).any(axis=-1)
-    return found._replace(
+    return validation._replace(
         samples=int(judged.sum()),
         delays={name: each.fit.delays for name, each in candidates.items()}, lags=lags,
     )  # fmt: skip

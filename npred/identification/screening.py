@@ -110,7 +110,7 @@ def _excursions(bad: np.ndarray, y: np.ndarray) -> np.ndarray:
 
     That is where the path of the others, the sum of |y_k+1 - y_k|, is the shortest.
     """
-    found, places = np.zeros_like(bad), np.flatnonzero(bad)
+    shifted, places = np.zeros_like(bad), np.flatnonzero(bad)
     for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(places) else ():
         count = len(run)
         low, high = max(run[0] - count - 1, 0), min(run[-1] + count + 2, len(y))
@@ -118,8 +118,8 @@ def _excursions(bad: np.ndarray, y: np.ndarray) -> np.ndarray:
         begins = [run[0] + shift for shift in shifts if 0 <= run[0] + shift <= len(y) - count]
         paths = [np.abs(np.diff(np.delete(y[low:high], np.arange(count) + b - low))).sum() for b in begins]
         begin = begins[int(np.argmin(paths))]
-        found[begin : begin + count] = True
-    return found
+        shifted[begin : begin + count] = True
+    return shifted
 
 
 def left_out(name: str, rows: np.ndarray, values: Sequence[float] | np.ndarray = ()) -> str:
