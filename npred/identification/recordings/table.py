@@ -74,7 +74,8 @@ class NamedColumns:
         self.units = {unit[1]: unit[2] or unit[3] or "" for unit in units if unit and often[unit[1]] == 1}
         lower = {name.casefold(): k for k, name in enumerate(self.names)}
         places = [next((lower[name] for name in words if name in lower), None) for words in NAMES.values()]
-        self.long = (places[0], places[1]) if None not in places and len(set(map(len, data))) == 1 else None
+        name, value = places
+        self.long = (name, value) if name is not None and value is not None and len({*map(len, data)}) == 1 else None
         if self.long and {"varname", "time_ms"} <= lower.keys():
             k = lower["time_ms"]
             numbers = self.data[k].astype(str).str.replace(",", ".")
@@ -213,7 +214,7 @@ def expanded(frame: Any) -> dict[str, Any]:
         cells = column.dropna() if column.dtype == object else column[:0]
         lengths = {len(cell) if isinstance(cell, list | np.ndarray) else 0 for cell in cells}
         if len(lengths) == 1 and lengths != {0}:
-            values = pd.DataFrame([np.ravel(cell) for cell in cells], index=cells.index).reindex(column.index)
+            values = pd.DataFrame(np.stack(cells).reshape(len(cells), -1), cells.index).reindex(column.index)
             columns |= {f"{name}[{k}]": values[k] for k in values}
         else:
             columns[str(name)] = column
