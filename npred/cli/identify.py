@@ -201,10 +201,7 @@ def _joints(options: Recorded, output: Path | None, accept: bool) -> None:
     with announce("identifying joints", 3.0 * len(tasks) / jobs), executors.opened(executors.LOCAL, jobs) as executor:
         answers = {task.name: answer for task, answer in executors.completed(executor, joints.identified, tasks)}
     every = [answers[task.name] for task in tasks]
-    rows = [
-        [joint.name, joint.command, joint.measured, *_spans(joint), f"{joint.gain:.3g}".replace("nan", "–")]
-        for joint in every
-    ]
+    rows = [[joint.name, joint.command, joint.measured, *_numbers(joint)] for joint in every]
     header = ["joint", "command", "position", "delay (s)", "95 %", "lag (s)", "95 %", "gain"]
     reasons = [f"{joint.name}: {joint.why}" for joint in every if joint.why]
     document = {"joints": [plain(asdict(joint)) for joint in every], "notes": notes}
@@ -212,8 +209,8 @@ def _joints(options: Recorded, output: Path | None, accept: bool) -> None:
     options.show(document, lambda: "\n".join([*notes, columns(header, rows, width), *reasons]))
 
 
-def _spans(joint: Any) -> list[str]:
-    """Delay and lag with their intervals; a dash for a delay that is only a range, and for what is not known."""
+def _numbers(joint: Any) -> list[str]:
+    """Delay, lag and gain in words; a dash for a delay that is only a range, and for what is not known."""
     delay, bounded = f"{joint.delay:.4g}" if joint.certain else "–", np.isfinite(joint.lag_interval).all()
     ends = [" to ".join(f"{end:.4g}" for end in each) for each in (joint.delay_interval, joint.lag_interval)]
-    return [delay, ends[0], *((f"{joint.lag:.4g}", ends[1]) if bounded else ("–", "–"))]
+    return [delay, ends[0], *((f"{joint.lag:.4g}", ends[1], f"{joint.gain:.3g}") if bounded else "–––")]

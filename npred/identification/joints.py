@@ -23,6 +23,7 @@ COMMAND = "action command commanded cmd target desired goal setpoint reference r
 MEASURED = "state observation obs actual measured feedback follower present position pos qpos puppet"
 SAMPLES, BLOCK = 4000, 200  # samples that are used, in blocks of so many rows
 DOUBTS = "The delay of command is not identifiable: ", "There is no answer: "
+NO_LAG = 1e-3  # periods: the least lag that is not 0
 LONGEST = 50  # periods: the longest delay that is tried by default
 
 
@@ -85,6 +86,8 @@ def tasks(files: Sequence[Path], longest: float | None = None, **reading: Any) -
     columns = dict(zip([*u, *y], [name for kind in zip(*pairs.values(), strict=True) for name in kind], strict=True))
     log, notes = recorded(every, files, columns, **reading)
     logs = [replace(log, U=log.U[:, [k]], Y=log.Y[:, [k]]) for k in range(len(pairs))]
+    if len(log.t) > SAMPLES:
+        notes.append(f"Of each joint those {SAMPLES} samples are used in which its command moves most.")
     return [JointLog(name, *pairs[name], each, longest) for name, each in zip(pairs, logs, strict=True)], notes
 
 
@@ -115,9 +118,11 @@ def identified(task: JointLog) -> JointDelay:
     reasons = (line for line in answer.sentences if line.startswith(DOUBTS))
     certain = bool(answer.identifiable[0])
     why = "" if certain else next(reasons, "the recording does not tell the delay.").removeprefix(DOUBTS[0])
+    why = why.partition(" Check the plant")[0]
     gain, lag = (answer.parameters.get(name, np.nan) for name in ("gain", "tau"))
     low, high = answer.interval[0].tolist()
     ends = answer.parameter_intervals.get("tau", none)
+    ends = (ends[0] if ends[0] > NO_LAG * log.period else 0.0, ends[1]) if np.isfinite(ends[1]) else none
     return JointDelay(*of, float(answer.D[0]), (low, high), lag, ends, gain, certain, why, len(log.t))
 
 

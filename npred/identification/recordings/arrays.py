@@ -39,7 +39,7 @@ class Arrays(NamedColumns):
             columns = dict(pd.concat(frames, ignore_index=True).items())
             self.place = np.concatenate([np.arange(len(frame)) for frame in frames])
             self.notes.append(f"the file holds {len(runs)} runs; their rows are counted through.")
-        self.named(list(columns), [column.set_axis(range(1, len(column) + 1)) for column in columns.values()])
+        self.counted(columns)
 
     def load(self) -> Any:
         """The value in the file."""

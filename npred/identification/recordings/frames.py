@@ -29,7 +29,7 @@ class Parquet(NamedColumns):
             columns = expanded(pd.concat(map(_numbers, files), ignore_index=True))
         if len(files) > 1:
             self.notes.append(f"the folder holds {len(files)} files; their rows are counted through.")
-        self.named(list(columns), [column.set_axis(range(1, len(column) + 1)) for column in columns.values()])
+        self.counted(columns)
 
 
 def _numbers(file: Path) -> Any:

@@ -3,7 +3,7 @@
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +80,10 @@ class NamedColumns:
             k = lower["time_ms"]
             numbers = self.data[k].astype(str).str.replace(",", ".")
             self.data[k], self.units[self.names[k]] = pd.to_numeric(numbers, errors="coerce") * WINCC, "s"
+
+    def counted(self, columns: Mapping[str, Any]) -> None:
+        """Take columns by name; their rows are counted from 1."""
+        self.named(list(columns), [column.set_axis(range(1, len(column) + 1)) for column in columns.values()])
 
     def columns(self) -> list[str]:
         """The names of the columns, without their units; of a long table its topics, too."""

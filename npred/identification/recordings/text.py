@@ -30,7 +30,7 @@ class Text(NamedColumns):
         lines = self.lines()
         with decoding(path, "a table of text"):
             if len(table := unstructured.columns(lines)):
-                self.named(list(table), [table[name].set_axis(range(1, len(table) + 1)) for name in table])
+                self.counted(dict(table.items()))
             else:
                 self._read(lines)
 
