@@ -89,7 +89,7 @@ def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
 
 
 def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """(S, K, q) True for single samples that a fit misses by far, where they are rare.
+    """(S, K, q) True for samples that a fit misses by far, where they, and even more their runs, are rare.
 
     Segments follow each other in time. A fit that follows a bad sample, as by an initial state, misses its neighbours.
     """
@@ -97,7 +97,8 @@ def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
     columns = zip(np.abs(residuals).T, finite.T, strict=True)
     size = np.array([1.4826 * np.median(r[measured]) if measured.any() else 0.0 for r, measured in columns])
     bad = finite & (np.abs(residuals) > OUTSIDE * size)
-    if bad.sum() > RARE * finite.sum() / 2:
+    runs = bad.sum() - (bad[:, 1:] & bad[:, :-1]).sum()
+    if bad.sum() > RARE * finite.sum() or runs > RARE * finite.sum() / 2:
         return np.zeros_like(bad)
     for k in range(bad.shape[-1]):
         measured = finite[..., k]
