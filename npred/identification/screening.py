@@ -91,7 +91,8 @@ def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
 def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """(S, K, q) True for samples that a fit misses by far, where they, and even more their runs, are rare.
 
-    Segments follow each other in time. A fit that follows a bad sample, as by an initial state, misses its neighbours.
+    Residuals are in the unit of Y. Segments follow each other in time. A fit that follows a bad sample, as by an
+    initial state, misses its neighbours.
     """
     finite = np.isfinite(residuals) & np.isfinite(Y)
     columns = zip(np.abs(residuals).T, finite.T, strict=True)
@@ -102,14 +103,15 @@ def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
         return np.zeros_like(bad)
     for k in range(bad.shape[-1]):
         measured = finite[..., k]
-        bad[measured, k] = _excursions(bad[measured, k], Y[measured, k])
+        bad[measured, k] = _excursions(bad[measured, k], Y[measured, k], OUTSIDE * size[k])
     return bad
 
 
-def _excursions(bad: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _excursions(bad: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
     """The runs of samples (N,) that are `bad`, each moved by up to its length to where y goes away and comes back.
 
-    That is where the path of the others, the sum of |y_k+1 - y_k|, is the shortest.
+    That is where the path of the others, the sum of |y_k+1 - y_k|, is the shortest. A run that does not make the path
+    longer by `least` is none: there the model is wrong.
     """
     shifted, places = np.zeros_like(bad), np.flatnonzero(bad)
     for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(places) else ():
@@ -119,7 +121,7 @@ def _excursions(bad: np.ndarray, y: np.ndarray) -> np.ndarray:
         begins = [run[0] + shift for shift in shifts if 0 <= run[0] + shift <= len(y) - count]
         paths = [np.abs(np.diff(np.delete(y[low:high], np.arange(count) + b - low))).sum() for b in begins]
         begin = begins[int(np.argmin(paths))]
-        shifted[begin : begin + count] = True
+        shifted[begin : begin + count] = np.abs(np.diff(y[low:high])).sum() - min(paths) > least
     return shifted
 
 

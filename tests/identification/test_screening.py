@@ -107,4 +107,12 @@ def test_an_output_without_samples_is_no_reason_to_warn():
 def test_residuals_far_outside_are_bad_samples_where_they_are_rare(count, expected):
     r = np.random.default_rng(2).standard_normal((40, 25, 1))
     r.reshape(-1)[:: 1000 // count][:count] = 30.0
-    assert screening.outside(r, 0 * r).sum() == expected
+    assert screening.outside(r, r).sum() == expected
+
+
+def test_where_a_model_is_wrong_samples_are_not_bad():
+    """A step that comes late for the model has large residuals, and y does not come back."""
+    Y = np.where(np.arange(1000) > 512, 9.0, 0.0).reshape(40, 25, 1)
+    r = 0.1 * np.random.default_rng(3).standard_normal(Y.shape)
+    r[20, 10:14] = 9.0
+    assert not screening.outside(r, Y).any()
