@@ -52,10 +52,18 @@ class Lines(NamedTuple):
 
 
 class Validation(NamedTuple):
-    """The rms errors of the model and its rivals on the held-back part, and the rival that is clearly better."""
+    """The rms errors of the model and its rivals on the held-back part, and the rival that is clearly better.
+
+    `delays` are those by which they predict, `lags` those of lags; errors are in the unit of output `single`, or of
+    several outputs (None) in their standard deviations.
+    """
 
     errors: dict[str, float]
     better: str | None
+    samples: int = 0
+    single: int | None = 0
+    delays: dict[str, np.ndarray] = {}
+    lags: dict[str, np.ndarray] = {}
 
 
 @dataclass(frozen=True)
@@ -237,15 +245,22 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
     squares = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
     grid = [share * high for share in np.linspace(0.0, 1.0, 25)]
     squares["static"] = static_error(train.segments, later.segments, [z, *grid])
-    return validated(squares, spread(segments.log.Y))
+    validation = validated(squares, spread(segments.log.Y))
+    lags = {name: each.lags for name, each in candidates.items() if each.lags is not None}
+    judged = np.isfinite(later.segments.Y[:, _third(later.segments) :]).any(axis=-1)
+    return validation._replace(
+        samples=int(judged.sum()),
+        delays={name: each.fit.delays for name, each in candidates.items()}, lags=lags,
+    )  # fmt: skip
 
 
 def validated(squares: dict[str, np.ndarray], wide: np.ndarray) -> Validation:
     """The rms of each candidate, of several outputs in their spreads (q,), and the rival that is clearly better."""
-    unit = np.where(wide > 0, wide, np.inf) if len(wide) > 1 else np.ones(1)
-    measured = max(int((wide > 0).sum()), 1)
-    each = {name: (values / unit**2).sum(axis=1) / measured for name, values in squares.items()}  # (S,)
+    moving = np.flatnonzero(wide > 0)
+    single = int(moving[0]) if len(moving) == 1 else 0 if len(wide) == 1 else None
+    unit = np.where(wide > 0, wide if single is None else 1.0, np.inf) if len(moving) else np.ones(len(wide))
+    each = {name: (values / unit**2).sum(axis=1) / max(len(moving), 1) for name, values in squares.items()}  # (S,)
     errors = {name: float(np.sqrt(values.mean())) for name, values in each.items()}
     best = min(errors, key=errors.__getitem__)
     clear = errors["model"] > CLEARLY * errors[best] and (each["model"] > each[best]).mean() > MOSTLY
-    return Validation(errors, best if clear else None)
+    return Validation(errors, best if clear else None, single=single)

@@ -19,6 +19,7 @@ ROUNDING = 1e-6  # share of a sum of squares below zero
 LEAST = 1e-9  # share of the curvature: a combination of theta that the log does not show stays where it is
 HALVINGS = 5
 BLOCK = 64  # commands
+REWEIGHTED, TINY = 20, 1e-3  # fits for the least sum of absolute residuals, and the least one that has a weight
 MOST = 25.0  # the most chi² that a segment may add
 CLEAR = 10.8  # chi² with one degree of freedom at 99.9 %
 CHECKED = 500  # samples by which the steps of the integration are checked
@@ -179,6 +180,26 @@ class Problem:
                 return best
             best, moved = new, move
         return best
+
+    def tolerant(self, fit: SegmentFit) -> np.ndarray:
+        """The residuals of a fit with those initial states that make the sum of their absolute values least.
+
+        A bad sample moves these far less than those of the least sum of squares, which spread it over its segment.
+        """
+        pieces, _ = self._inputs(fit.delays, None)
+        x, J = self.model.run(fit.X, fit.theta, pieces)
+        G = self.model.outputs(x, J, self.segments.t, self.model.parameters(fit.theta))[1][..., : fit.X.shape[1]]
+        measured = np.isfinite(fit.residuals)
+        r = np.where(measured, fit.residuals, 0.0).reshape(len(fit.X), -1)
+        G = np.where(measured[..., None], G / self.scale[:, None], 0.0).reshape(*r.shape, -1)
+        rest = r
+        for _ in range(REWEIGHTED):  # least squares, each residual weighted by its inverse
+            weighted = (G / np.maximum(np.abs(rest), TINY)[..., None]).swapaxes(1, 2)
+            A = weighted @ G
+            size = np.maximum(np.abs(A).max(axis=(1, 2), initial=0.0), 1e-300)
+            dX = _solve(A + RIDGE * size[:, None, None] * np.eye(A.shape[-1]), (weighted @ r[..., None])[..., 0])
+            rest = r - (G @ np.nan_to_num(dX)[..., None])[..., 0]
+        return np.where(measured, rest.reshape(measured.shape), np.nan)
 
     def outputs(self, fit: SegmentFit, tau: np.ndarray | None = None) -> np.ndarray:
         """The outputs (S, K, outputs) that the model of a fit has at the samples."""

@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 
 from npred.base.notebook import InNotebook
+from npred.identification.alternatives import Validation
 from npred.identification.objections import CLOSED, Evidence
 from npred.identification.windows import Windows
 from npred.plants import Plant
 
 RUN_AWAY = 1e20  # an error that is no number for people
 ODD = 2.0  # times what was allowed: a parameter that is looked at
+KNOWN = 1e-2, 1e2  # sizes of a parameter: an end of its interval beyond these says nothing of it
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,8 @@ class Identified(InNotebook):
 
     `identifiable` (m,) is False where the log does not tell the delay: the interval holds what it does tell. `refused`
     is True where the log contradicts the model, or a law without a test signal gave the commands: no answer counts. Of
-    `held_back` each number is the rms error of a prediction over many samples, in the output's unit, of several outputs
-    in their standard deviations. `sentences` say all of it in words.
+    `held_back` each number is the rms error of a prediction over many samples, in the unit of the output that is
+    measured, of several outputs in their standard deviations. `sentences` say all of it in words.
     """
 
     plant: Plant
@@ -40,12 +42,21 @@ class Identified(InNotebook):
         return "\n".join(self.sentences)
 
 
-RIVALS = {
+WORDS = {
+    "model": "the model",
     "no_delay": "without the delay",
     "first_order_lag": "with a first-order lag in its place",
     "lag_and_delay": "with a lag behind a shorter delay",
     "static": "by constant gains alone",
 }
+
+
+def held_back_unit(plant: Plant, validation: Validation) -> str:
+    """The unit of errors on what was held back, in words."""
+    if validation.single is None:
+        return "standard deviations of the outputs"
+    name = plant.outputs[validation.single]
+    return plant.units.get(name) or f"unit of {name}"
 
 
 class Findings(Evidence):
@@ -76,13 +87,21 @@ class Findings(Evidence):
         errors = self.validation.errors
         if not errors:
             return [*lines, "The log is too short to hold back a part for validation."]
-        rows = {"model": "of the model", **{name: words for name, words in RIVALS.items() if name in errors}}
-        width = max(map(len, rows.values()))
+        rows = [("model", "delay", f"error ({held_back_unit(self.plant, self.validation)})")]
+        rows += [(WORDS[name], self._delays(name), self._error(name)) for name in WORDS if name in errors]
+        words, delay, _ = (max(map(len, cells)) for cells in zip(*rows, strict=True))
+        many = f"{self.validation.samples} samples"
         return [
             *lines,
-            "Errors of predictions on the last quarter of the log, which was held back (rms):",
-            *(f"  {words:{width}}  {self._error(name)}" for name, words in rows.items()),
+            f"Errors (rms) of predictions on the last quarter of the log, {many}, which was held back:",
+            *(f"  {row[0]:{words}}  {row[1]:{delay}}  {row[2]}" for row in rows),
         ]
+
+    def _delays(self, name: str) -> str:
+        """The delays by which a model predicts, and its lags."""
+        time = self.plant.time_text
+        delays, lags = (", ".join(time(span, ".3g") for span in by.get(name, ())) for by in self.validation[-2:])
+        return f"{delays}, lag {lags}" if lags else delays or "–"
 
     def _error(self, name: str) -> str:
         error = self.validation.errors[name]
@@ -97,9 +116,10 @@ class Findings(Evidence):
             ]
         if self.validation.better is not None:
             return [
-                "There is no answer: the held-back part contradicts the model. The error of predictions is "
-                f"{self._error(self.validation.better)} {RIVALS[self.validation.better]}, and {self._error('model')} "
-                f"by the model. Check the plant, its units and its first values."
+                "There is no answer: the held-back part contradicts the model. The error of predictions "
+                f"({held_back_unit(self.plant, self.validation)}) is {self._error(self.validation.better)} "
+                f"{WORDS[self.validation.better]}, and {self._error('model')} by the model. "
+                "Check the plant, its units and its first values."
             ]
         return []
 
@@ -138,12 +158,20 @@ class Findings(Evidence):
     def _of_parameter(self, name: str) -> list[str]:
         value, low, high, correlation = self.parameters[name]
         if not np.isfinite([low, high]).all() or high - low > 10 * max(abs(value), 1e-300):
-            above = f"any value above {low:.3g}" if 0 < 0.01 * value < low else "almost any value of it"
-            return [f"{name} is not identifiable: the log fits {above}."]
+            return [f"{name} is not identifiable: the log fits {self._values(name, value, low, high)}."]
         lines = [f"{name} = {value:.4g}, with 95 % between {low:.4g} and {high:.4g}."]
         if abs(correlation) > 0.95:
             lines.append(f"The log hardly tells {name} from the delay: their errors correlate with {correlation:.2f}.")
         return lines
+
+    def _values(self, name: str, value: float, low: float, high: float) -> str:
+        """A wide interval in words; an end far from the size of the parameter, as its limit beside 0, says nothing."""
+        size = max(abs(value), abs(self.plant.parameters[name]))
+        ends = {"above": low, "below": high}
+        near = {word: end for word, end in ends.items() if KNOWN[0] * size < abs(end) < KNOWN[1] * size}
+        if len(near) == 2:
+            return f"any value from {low:.3g} to {high:.3g}"
+        return next((f"any value {word} {end:.3g}" for word, end in near.items()), "almost any value of it")
 
     def _of_combination(self) -> list[str]:
         if not self.combination:

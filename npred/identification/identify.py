@@ -211,7 +211,7 @@ def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole
     problem, low, high = prepared(plant, log, settings, whole)
     delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))
     segments = delays.problem.segments
-    bad = screening.outside(delays.fit.residuals, segments.Y)
+    bad = screening.outside(delays.problem.tolerant(delays.fit) * delays.problem.scale, segments.Y)
     lines = []
     if bad.any():  # once more without them
         out = bad.any(axis=-1)

@@ -64,6 +64,18 @@ def test_a_delay_and_a_parameter_are_found_and_said():
     assert "\nU arrives 0.33" in str(found) and "\na = -0.59" in str(found)
 
 
+@pytest.mark.parametrize(("first", "count"), [(150, 1), (212, 2), (301, 3)])
+def test_a_glitch_is_named_by_its_rows_and_no_others(first, count):
+    """The initial state of its segment follows it, so that the good rows beside it are missed, too."""
+    t, U, X = decayed(0.337)
+    rows = np.flatnonzero(np.isfinite(X[:, 0]))[first : first + count]
+    X[rows] += 0.5
+    answer = npred.identify(decay(), t, U, X, free=["a"], longest=1.5)
+    named = ", ".join(map(str, rows))
+    assert f" at row{'s' * (count > 1)} {named}; " in str(answer)
+    assert answer.identifiable.all() and abs(answer.D[0] - 0.337) < 0.2 * PERIOD
+
+
 def test_rows_in_any_order_and_twice_tell_the_same():
     t, U, X = decayed(0.337)
     one = npred.identify(decay(), t, U, X, longest=1.5)

@@ -144,7 +144,7 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
         ({"accurate": False}, "There is no answer: the model is too fast for the samples"),
         (
             {"validation": Validation({"model": 1.0, "static": 0.5}, "static")},
-            "The error of predictions is 0.5 by constant gains alone, and 1 by the model.",
+            "The error of predictions (unit of X) is 0.5 by constant gains alone, and 1 by the model.",
         ),
         (
             {"combination": Combination(["k", "c"], [1.0, -2.0], 3.0, 0.01)},
@@ -161,7 +161,27 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
             {"parameters": {"a": Parameter(1.0, 0.9, 1.1, -0.96)}},
             "hardly tells a from the delay: their errors correlate with -0.96",
         ),
-        ({"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}}, "a is not identifiable"),
+        (
+            {"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}},
+            "a is not identifiable: the log fits any value from -5",
+        ),
+        ({"parameters": {"a": Parameter(1e-9, 1e-9, 5.1, 0.0)}}, "the log fits any value below 5.1"),
+        ({"parameters": {"a": Parameter(3.0, 0.7, 1e9, 0.0)}}, "the log fits any value above 0.7"),
+        ({"parameters": {"a": Parameter(3.0, 1e-9, np.inf, 0.0)}}, "the log fits almost any value of it"),
+        (
+            {"validation": Validation({"model": 1.0}, None, 75, 0, {"model": np.array([0.3])}, {})},
+            "quarter of the log, 75 samples, which was held back:\n"
+            "  model      delay  error (unit of X)\n  the model  0.3 s  1",
+        ),
+        (
+            {
+                "validation": Validation(
+                    {"lag_and_delay": 1.0}, None, 75, None, {"lag_and_delay": [0.3]}, {"lag_and_delay": [0.1]}
+                )
+            },
+            "  model                              delay             error (standard deviations of the outputs)\n"
+            "  with a lag behind a shorter delay  0.3 s, lag 0.1 s  1",
+        ),
     ],
 )
 def test_what_is_odd_is_said_and_only_then(changes, words):

@@ -71,10 +71,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def runs() -> None:
-    """Check, simulate and export take the file unchanged."""
-    for call in ("plants check log.toml", "generate log.toml", "export controller log.toml --predictor rk4 -o out"):
+    """Check, simulate and export take the file unchanged, and the check has no doubt of its steps."""
+    for call in ("plants check log.toml", "generate log.toml", "export controller log.toml -o out"):
         done = CliRunner().invoke(app, [*call.split(), "-q"])
         assert done.exit_code == 0, f"{call}: {done.output}"
+        assert ".dt   warn" not in done.output
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from npred.lab.config import Pipeline
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.config.section import map_paths
 from npred.lab.scheduler import pipeline_fit
+from npred.loop.control_step import FEW
 from npred.plants import Plant
 from npred.plants.speed import rates
 from npred.prediction.delays import problem_of
@@ -75,6 +76,9 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
         remarks.append(f"The delay is shorter than a control step, the least that a loop can have: D = {time(D)}.")
     if not observed:
         remarks.append("The delay observer does not work for this plant, so D_hat is constant.")
+    elif D_hat < FEW * dt * (1 - 1e-9):
+        observed = False
+        remarks.append(f"A delay of fewer than {FEW} control steps is too short to be estimated, so D_hat is constant.")
     differ = plant.m > 1 and (not plant.one_delay or np.ptp(delays) >= dt)
     if differ:
         each = ", ".join(f"{name} {time(_short(d))}" for name, d in zip(plant.inputs, delays, strict=True))
@@ -103,7 +107,7 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
         loop |= {"observer": {"kind": "ekf"} | ({} if plant.declares_output else {"outputs": measured})}
     start = [ranges[s][0] + START * (ranges[s][1] - ranges[s][0]) if s in ranges else float(x)
              for s, x in zip(plant.states, plant.guess, strict=True)]  # fmt: skip
-    whole = [low, high] if D_hat < D else D
+    whole = [max(low, _short(FEW * dt)) if observed else low, high] if D_hat < D else D
     generate = loop | {"D": whole, "D_hat": [[low, high]]} | ({"nx": 100 * finer + 1} if finer > 1 else {})
     generate |= {"box": boxes} if ranges.keys() > plant.box.keys() else {}
     evaluate = loop | {"D_hat": D_hat, "case_D_hat": sorted({low, D_hat, high}), "case_t_end": t_end, "X0": start}
