@@ -20,7 +20,7 @@ RECENTRED = 3  # times that the search goes on from a place of its profile that 
 PLACES = 8  # local minima of a scan that are looked at again
 TETHER = 0.3  # how far, relatively, a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
-MISSING = 2.0  # correlation time of residuals, in samples, from which on the model misses something
+MISSING = 2.0  # correlation time of residuals, in samples or segments, from which on the model misses something
 UNSHARP = 4.0  # times the level, for an input without sharp steps
 FEW = 5.0  # times CLEAR: so much worse by few segments alone is worse all the same
 NEARBY = 4.0  # times the least cost: minima of a grid that are looked at
@@ -40,7 +40,7 @@ class Delays:
     """Delays (m,), their intervals (m, 2), and the profiles that these come from.
 
     `others` are the parameters at other minima that the data do not tell from the best; `accurate` is False where RK4's
-    steps cannot be made fine enough.
+    steps cannot be made fine enough; `drift` is the correlation time, in segments, of what joined segments tell anew.
     """
 
     problem: Problem
@@ -52,11 +52,18 @@ class Delays:
     inflation: float
     others: list[np.ndarray]
     accurate: bool
+    drift: float
 
     @property
     def size(self) -> float:
         """The logarithm of the errors."""
         return self.problem.size_of(self.fit)
+
+    @property
+    def lasting(self) -> float:
+        """For how long the plant goes one way against the model; 0 if that is for no longer than MISSING segments."""
+        t = self.problem.segments.t
+        return float(self.drift * np.median(t[:, -1] - t[:, 0])) if self.drift > MISSING else 0.0
 
     @property
     def levels(self) -> np.ndarray:
@@ -76,8 +83,15 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     """The delays between `low` and `high` (m,)."""
     period = problem.segments.log.period
     begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
-    problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
+    sizes = np.array([few.size_of(fit) for _, few, fit in begins])
+    sizes[1:] += LOWER  # parameters that may be exchanged are taken as the first values have them
+    problem, few, fit = begins[sizes.argmin()]
     problem, z, fit, widths, accurate = _minimum(problem, few, fit, low, high)
+    if problem.jump is not None:
+        problem = problem.joined(fit)
+        z, fit, widths = search.descend(
+            problem.at, problem.fit(z, fit, 6), z, low, high, float(widths.max()), FINEST * period
+        )
     for left in reversed(range(RECENTRED)):
         problem = problem.rescaled(fit)
         fit = problem.fit(z, fit)
@@ -103,7 +117,8 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     for place, rise, _ in others:
         if rise < FEW * CLEAR * inflation:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-    return Delays(problem, z, ends, fit, profiles, widths, inflation, [theta for *_, theta in others], accurate)
+    drift, thetas = correlation_time(problem.surprises(fit)[None]), [theta for *_, theta in others]
+    return Delays(problem, z, ends, fit, profiles, widths, inflation, thetas, accurate, drift)
 
 
 def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem, Problem, SegmentFit]:
@@ -114,7 +129,13 @@ def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem
     coarse = _tethered(problem.some(COARSE))  # once more, with the size of the residuals
     places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
     few = problem.some(SEARCHED)
-    return problem, few, min((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    fits = sorted((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    if problem.jump is None:
+        return problem, few, fits[0]
+    begun = problem.begun(fits[0])
+    problem = problem.joined(problem.fit(begun.delays, begun, 6))
+    few = problem.some(SEARCHED)
+    return problem, few, min((few.fit(fit.delays, few.begun(fit), 6) for fit in fits), key=lambda fit: fit.cost)
 
 
 def _minimum(
@@ -130,7 +151,7 @@ def _minimum(
             break
         problem, few = replace(problem, model=finer.model), finer
         fit, step = few.fit(z, fit, 6), max(float(widths.max()), period / 4)
-    if len(few.segments) < len(problem.segments):
+    if few.segments is not problem.segments:
         fit = problem.fit(z, problem.begun(fit))
         z, fit, widths = search.descend(problem.at, fit, z, low, high, float(widths.max()), FINEST * period)
     return problem, z, fit, widths, finer.model.steps <= STEPS
@@ -217,7 +238,7 @@ def correlation_time(residuals: np.ndarray) -> float:
     r = np.where(np.isfinite(residuals), residuals, 0.0)
     present = np.isfinite(residuals).astype(float)
     total, variance = 1.0, (r * r).sum() / max(present.sum(), 1)
-    for k in range(1, max(2, r.shape[1] // 3)):
+    for k in range(1, max(2, (r.shape[1] - 1) // 3)):
         pairs = (present[:, k:] * present[:, :-k]).sum()
         rho = (r[:, k:] * r[:, :-k]).sum() / max(pairs, 1) / max(variance, 1e-300)
         if rho <= 0:
@@ -252,7 +273,7 @@ def parameters(
 
     An interval is the least one around four: those of the cost's curvature at each delay that is possible, that of
     drawing the segments anew, the values at other minima, and, where it is wide, that of the profile over the other
-    parameters and the delay.
+    parameters and the delay. It is `drift` times as wide: the few swings of a slow disturbance do not average out.
     """
     problem, names = delays.problem, [*plant.p_names, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
@@ -277,17 +298,17 @@ def parameters(
         ends = np.quantile(drawn(profile, rng)[1], SHARES, axis=0)
         low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
         slope = np.polyfit(profile.values[near], thetas, 1)[0] if len(near) > 2 else np.zeros(len(theta))
-        moved.append(slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
+        moved.append(delays.drift * slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
     for other in delays.others:
         bounds = np.minimum(bounds[0], other), np.maximum(bounds[1], other)
     low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
-    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
+    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation * delays.drift**2
     covariance = covariance + sum(np.outer(each, each) for each in moved)
     size, free = np.sqrt(np.diag(covariance)), np.isinf(prior.deviation)
     for k in np.flatnonzero(free & (high - low > 2 * NORMAL * WIDE * np.abs(theta))):
         ends = _profiled(delays, theta, int(k), float(high[k] - low[k]) / (2 * NORMAL))
         low[k], high[k] = min(ends[0], bounds[0][k]), max(ends[1], bounds[1][k])
-    low, high = (np.clip(ends, *prior.limits) for ends in (low, high))
+    low, high = (np.clip(theta + delays.drift * (ends - theta), *prior.limits) for ends in (low, high))
     nearest = np.take_along_axis(np.array(moved), np.abs(moved).argmax(axis=0)[None], axis=0)[0]
     correlation = nearest / np.maximum(size, 1e-300)
     rows = [Parameter(*map(float, row)) for row in zip(theta, low, high, correlation, strict=True)]

@@ -90,6 +90,7 @@ class Findings:
     assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
     combination: Combination | None
     inflation: float
+    drift: float  # time for which the plant goes one way against the model, 0 for none
     accurate: bool
     several: bool  # other minima are as good
     closed: float  # how much of the commands follows the outputs, R²
@@ -135,6 +136,11 @@ class Findings:
                 lines.append(
                     f"Errors keep their sign for {self.inflation:.1f} samples: the model misses something in the log. "
                     "The intervals are widened for this, but they are valid for this model only."
+                )
+            if self.drift > 0:
+                lines.append(
+                    f"For about {self.plant.time_text(self.drift, '.3g')} at a time the plant goes one way against the "
+                    "model: something acts on it that the log does not have. The intervals of parameters are widened."
                 )
         errors = self.validation.errors
         if not errors:

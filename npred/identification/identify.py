@@ -68,8 +68,9 @@ def identify(
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
-    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
-    the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
+    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method, where a slow
+    plant's segments go on from each other; delays by the profile of the cost, which has kinks; intervals by the
+    profile and by drawing the segments anew.
 
     Parameters
     ----------
@@ -237,9 +238,9 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
     asked, assumed, combination = parameters(plant, delays, settings.seed)
     findings = Findings(
         plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, lagged,
-        np.ptp(log.U, axis=0) == 0,
-        excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, delays.accurate,
-        bool(delays.others), excitation.followed(log), alternatives.held_back(delays, high),
+        np.ptp(log.U, axis=0) == 0, excitation.alike(log), recurring, asked, assumed, combination, delays.inflation,
+        delays.lasting, delays.accurate, bool(delays.others), excitation.followed(log),
+        alternatives.held_back(delays, high),
     )  # fmt: skip
     if findings.silent:
         findings.interval[:], asked = np.stack([0 * high, high], axis=1), {}
@@ -377,7 +378,8 @@ def prepared(plant: Plant, log: Log, settings: Settings, whole: bool = False) ->
     problem = Problem(model, segments, scale, prior)
     low = np.full(plant.m, -EARLY * log.period)
     first = problem.some(CHECKED)
-    return replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model), low, np.full(plant.m, most_delay)
+    problem = replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model)
+    return problem.softened(problem.fit(low * 0, None, 0)), low, np.full(plant.m, most_delay)
 
 
 def longest(log: Log, settings: Settings) -> float:

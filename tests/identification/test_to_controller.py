@@ -66,7 +66,7 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         "high": np.full(1, HIGH), "period": 0.05, "alternatives": [Alternative(0.2, as_good, False, 0.0, behind)],
         "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
         "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
-        "combination": None, "inflation": 1.0, "accurate": True, "several": False, "closed": 0.0,
+        "combination": None, "inflation": 1.0, "drift": 0.0, "accurate": True, "several": False, "closed": 0.0,
         "validation": Validation({}, None),
     }  # fmt: skip
     return Findings(**found | changes)
