@@ -83,7 +83,7 @@ class Findings:
     period: float
     alternatives: list[Alternative]
     lagged: np.ndarray  # (m,) a lag behind a delay that is far shorter fits about as well
-    still: np.ndarray  # (m,) inputs that never change
+    still: np.ndarray  # (m,) inputs that change in no recording
     alike: list[tuple[int, int]]  # inputs that move together
     recurring: np.ndarray  # (m,) after which time an input repeats itself, infinite where it does not
     parameters: Mapping[str, Parameter]
@@ -191,7 +191,8 @@ class Findings:
         both = next((" and ".join(self.plant.inputs[i] for i in pair) for pair in self.alike if j in pair), "")
         unclear = high - low > CERTAIN * longest or (low <= 0 and high > self.period)  # none, or any up to there
         if self.still[j]:
-            return f"{name} never changes. Record steps of it."
+            cure = "If a recording begins with a step, put a row with the command before it in front."
+            return f"{name} never changes. Record steps of it. {cure}"
         if both:
             return f"{both} move together. Record steps of one while the other is at rest."
         if self.closed > CLOSED:

@@ -181,8 +181,8 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
 
 def _best(plant: Plant, log: Log, settings: Settings) -> Identified:
     """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
-    early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
-    moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
+    begins = log.starts[:, None] + np.linspace(0.0, longest(log, settings), 100)
+    moving = (np.ptp(log.arrived(begins, np.zeros(plant.m)), axis=1) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
     try:
         answer = _answer(plant, log, settings, False)
     except ConfigError:
@@ -238,7 +238,7 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
     asked, assumed, combination = parameters(plant, delays, settings.seed)
     findings = Findings(
         plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, lagged,
-        np.ptp(log.U, axis=0) == 0, excitation.alike(log), recurring, asked, assumed, combination, delays.inflation,
+        excitation.still(log), excitation.alike(log), recurring, asked, assumed, combination, delays.inflation,
         delays.lasting, delays.accurate, bool(delays.others), excitation.followed(log),
         alternatives.held_back(delays, high),
     )  # fmt: skip

@@ -385,6 +385,19 @@ def test_a_slow_plant_keeps_what_its_whole_log_knows():
     assert (np.maximum(one[:, 0], other[:, 0]) <= np.minimum(one[:, 1], other[:, 1])).all()
 
 
+@pytest.mark.parametrize("row_before", [False, True])
+def test_a_step_in_the_first_row_needs_a_row_before_it(tmp_path: Path, row_before):
+    t, rng = PERIOD * np.arange(60), np.random.default_rng(0)
+    for k, u in enumerate([1.0, -0.5, 2.0]):
+        X = 2 * u * (1 - np.exp(-0.5 * np.maximum(t - 0.337, 0))) + 0.01 * rng.standard_normal(60)
+        rows = np.stack([t, np.where(row_before & (t == 0), 0.0, u), np.append(0.0, X[:-1])], axis=1)
+        np.savetxt(tmp_path / f"{k}.csv", rows, delimiter=",", header="t,U,X", comments="")
+    found = npred.identify(decay(), sorted(tmp_path.iterdir()), free=["a"], longest=1.0)
+    assert ("put a row with the command before it in front" in str(found)) is not row_before
+    assert found.identifiable.all() is np.bool_(row_before)
+    assert not row_before or abs(found.D[0] - 0.337) < PERIOD, found
+
+
 def test_a_column_is_scaled_and_then_shifted(tmp_path: Path):
     """Degrees Fahrenheit to Celsius, and an input that is as it is."""
     (tmp_path / "log.csv").write_text("time,F,U\n0,32,1\n1,212,1\n2,50,3\n")
