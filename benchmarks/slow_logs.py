@@ -186,10 +186,12 @@ def beside(k: int) -> tuple[int, int, str]:
     warnings.simplefilter("ignore")
     log, begin = made(k), time.perf_counter()
     span = log.period * len(log.y)
+    answer: Any = None
+    error = ""
     try:
-        answer, error = ours(log, None), ""
+        answer = ours(log, None)
     except Exception as wrong:  # it is printed
-        answer, error = None, f"{type(wrong).__name__}: {wrong}"
+        error = f"{type(wrong).__name__}: {wrong}"
     seconds = time.perf_counter() - begin
     good, known, words = 0, 0, []
     for name, (value, deviation) in refereed(log, span / 5).items():
@@ -198,7 +200,7 @@ def beside(k: int) -> tuple[int, int, str]:
             continue
         known += 1
         found = None if answer is None else answer.D[0] if name == "D" else answer.parameters.get(name)
-        ends = None if found is None else answer.interval[0] if name == "D" else answer.parameter_intervals[name]
+        ends: Any = None if found is None else answer.interval[0] if name == "D" else answer.parameter_intervals[name]
         doubt = "" if found is None or name != "D" or answer.identifiable[0] else " uncertain"
         good += (near := found is not None and abs(found - value) <= room)
         said = "none" if found is None else f"{found:.4g} [{ends[0]:.4g}, {ends[1]:.4g}]{doubt}"

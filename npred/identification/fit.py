@@ -279,7 +279,7 @@ class Problem:
             crossed = before.swapaxes(1, 2) @ (B + right)
             left = squares - (crossed + crossed.swapaxes(1, 2)) / 2 - right.swapaxes(1, 2) @ (filtered - before)
         e, g, H = left[:, 0, 0], -left[:, 1:, 0], left[:, 1:, 1:]
-        lost = ~np.isfinite(left).all(axis=(1, 2))
+        lost = np.logical_not(np.isfinite(left).all(axis=(1, 2)))
         e, g, H = np.where(lost, np.inf, e), np.where(lost[:, None], 0.0, g), np.where(lost[:, None, None], 0.0, H)
         gap = np.where(self.prior.weight > 0, theta - self.prior.mean, 0.0)
         diverged = (~np.isfinite(residuals) & np.isfinite(self.segments.Y)).any()
