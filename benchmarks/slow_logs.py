@@ -199,7 +199,7 @@ def beside(k: int) -> tuple[int, int, str]:
         if 1.96 * deviation > room:
             continue
         known += 1
-        found = None if answer is None else answer.D[0] if name == "D" else answer.parameters.get(name)
+        found = answer and (answer.D[0] if name == "D" else answer.parameters.get(name))
         ends: Any = None if found is None else answer.interval[0] if name == "D" else answer.parameter_intervals[name]
         doubt = "" if found is None or name != "D" or answer.identifiable[0] else " uncertain"
         good += (near := found is not None and abs(found - value) <= room)
