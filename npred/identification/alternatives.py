@@ -6,6 +6,7 @@ difference of their costs has to be large, and larger than its scatter over the 
 
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from npred.identification.log import Segments, spread
 NONE = 1e-9  # in sampling periods: a shorter lag is none
 HELD_BACK = 0.25
 ALIKE = 0.05  # of the logarithm of errors: two ways to hold an input fit alike
-DECIDING = 5000  # samples, by which models are compared
+DECIDING = 6500  # samples, by which models are compared
 CLEARLY, MOSTLY = 1.25, 0.6  # a rival errs so much less, in this share of the segments: the model is contradicted
 ORDER = 4.0  # times the least cost: a fit that is not of another order
 HUGE = 1e60  # square of an error at which a model has run away
@@ -75,15 +76,15 @@ class FittedModel:
     lags: np.ndarray | None = None
 
 
-def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest: float) -> FittedModel:
-    """The best fit with first-order lags in place of the delays of these inputs."""
+def lag_instead(problem: Problem, model: SegmentFit, inputs: list[int], longest: float) -> FittedModel:
+    """The best fit with first-order lags in place of the delays that these inputs have in the fit of the model."""
     lagged, period = problem.with_lag(), problem.segments.log.period
-    D, tau = delays.copy(), np.full(len(delays), NONE * period)
+    D, tau = model.delays.copy(), np.full(len(model.delays), NONE * period)
     D[inputs] = 0.0
 
     def at(z: np.ndarray, start: SegmentFit | None) -> SegmentFit:
         tau[inputs] = np.exp(z)
-        return lagged.fit(D, start, 2, tau)
+        return lagged.fit(D, start or model, 2, tau)
 
     low, high = (np.full(len(inputs), np.log(end)) for end in (0.2 * period, max(longest, period)))
     z, _ = search.scan(at, low, high, 0.3)[0]
@@ -92,17 +93,18 @@ def lag_instead(problem: Problem, delays: np.ndarray, inputs: list[int], longest
     return FittedModel(lagged, fit, tau.copy())
 
 
-def prediction_error(candidate: FittedModel, segments: Segments) -> np.ndarray:
-    """Mean squares (S, outputs) over the last two thirds of segments not fitted to; their first thirds give x(0)."""
-    fit, third = candidate.fit, _third(segments)
-    head = segments.Y.copy()
-    head[:, third:] = np.nan
+def prediction_error(candidate: FittedModel, segments: Segments, later: np.ndarray) -> np.ndarray:
+    """Mean squares (later, outputs) over the last two thirds of the segments `later` (S,), which were not fitted to;
+    their first thirds, and what goes before them, give x(0).
+    """
+    fit, third, Y = candidate.fit, _third(segments), segments.Y.copy()
+    Y[later, third:] = np.nan
     theta = fit.best_theta
     fixed = Prior(theta, np.ones(len(theta)), np.stack([theta, theta]))
-    problem = replace(candidate.problem, segments=replace(segments, Y=head), prior=fixed)
+    problem = replace(candidate.problem, segments=replace(segments, Y=Y), prior=fixed)
     start = problem.fit(fit.delays, None, 4, candidate.lags)
-    outputs = problem.outputs(start, candidate.lags)
-    return _squares((segments.Y - np.where(np.isnan(outputs), np.inf, outputs))[:, third:])
+    outputs = problem.outputs(replace(start, X=start.filtered), candidate.lags)
+    return _squares((segments.Y - np.where(np.isnan(outputs), np.inf, outputs))[later, third:])
 
 
 def static_error(train: Segments, later: Segments, delays: list[np.ndarray]) -> np.ndarray:
@@ -123,7 +125,7 @@ def static_error(train: Segments, later: Segments, delays: list[np.ndarray]) -> 
 
 
 def _third(segments: Segments) -> int:
-    return max(2, segments.t.shape[1] // 3)
+    return max(2, (segments.t.shape[1] - 1) // 3)
 
 
 def _squares(r: np.ndarray) -> np.ndarray:
@@ -151,14 +153,14 @@ def recurs(delays: Delays, periods: np.ndarray, low: np.ndarray, high: np.ndarra
 def thinned(delays: Delays) -> Delays:
     """The same on as many samples as decide between models."""
     thinner = delays.problem.some(DECIDING)
-    if len(thinner.segments) == len(delays.problem.segments):
+    if thinner is delays.problem:
         return delays
-    return replace(delays, problem=thinner, fit=thinner.fit(delays.values))
+    return replace(delays, problem=thinner, fit=thinner.fit(delays.values, thinner.begun(delays.fit), 6))
 
 
 def of_input(delays: Delays, j: int, high: float) -> Alternative:
     """A lag in place of the delay of input j, and one behind it, against the delay alone."""
-    instead, period = lag_instead(delays.problem, delays.values, [j], high), delays.problem.segments.log.period
+    instead, period = lag_instead(delays.problem, delays.fit, [j], high), delays.problem.segments.log.period
     assert instead.lags is not None
     as_good = not better(delays.fit, instead.fit, delays.inflation)
     if as_good or not delays.values[j] > 0:
@@ -215,24 +217,23 @@ def in_lines(delays: Delays, low: np.ndarray, high: np.ndarray) -> Lines:
 
 def held_back(delays: Delays, high: np.ndarray) -> Validation:
     """The errors on the last part of the log of models fitted to the rest; none for a log that is too short."""
-    segments, problem = delays.problem.segments, delays.problem
-    span = segments.log.t[-1] - segments.log.t[0]
+    problem = delays.problem.some(DECIDING)
+    segments, span = problem.segments, problem.segments.log.t[-1] - problem.segments.log.t[0]
     early = segments.t[:, -1] <= segments.log.t[0] + (1 - HELD_BACK) * span
     if early.sum() < 3 or (~early).sum() < 1 or segments.t.shape[1] < 4:
         return Validation({}, None)
-    train, later = (replace(problem, segments=segments.some(part)).some(DECIDING) for part in (early, ~early))
-
+    train = replace(problem, segments=segments.some(early))
     step, least = float(delays.widths.max()), 0.2 * float(delays.widths.min())
-    first = train.at(delays.values, None)
+    first = train.fit(delays.values, replace(delays.fit, X=train.start()[0]), 6)
     z, fit, _ = search.descend(train.at, first, delays.values, np.zeros(len(high)), high, step, least)
-    inputs, none = list(range(len(z))), train.fit(np.zeros(len(z)), None, 4)
+    inputs, actual = list(range(len(z))), attrgetter("actual")
+    none = min((train.fit(0 * z, start, 6) for start in (None, fit)), key=actual)
     for start in (first, none):  # a search that was lost is no model
-        restarted = train.fit(delays.values, start, 6)
-        fit = min(fit, restarted, key=train.actual)
-    lag, behind = lag_instead(train, z, inputs, float(high.max())), None
+        fit = min(fit, train.fit(delays.values, start, 6), key=actual)
+    lag, behind = lag_instead(train, fit, inputs, float(high.max())), None
     for share in SHARES:  # a lag, and what is left of the delay
         tau = np.maximum(share * z, 0.2 * problem.segments.log.period)
-        new = train.with_lag().fit(np.maximum(z - tau, 0.0), None, 4, tau)
+        new = train.with_lag().fit(np.maximum(z - tau, 0.0), fit, 6, tau)
         if behind is None or new.cost < behind.fit.cost:
             behind = FittedModel(train.with_lag(), new, tau)
     assert behind is not None
@@ -242,12 +243,12 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
         "first_order_lag": lag,
         "lag_and_delay": behind,
     }
-    squares = {name: prediction_error(candidate, later.segments) for name, candidate in candidates.items()}
+    squares = {name: prediction_error(candidate, segments, ~early) for name, candidate in candidates.items()}
     grid = [share * high for share in np.linspace(0.0, 1.0, 25)]
-    squares["static"] = static_error(train.segments, later.segments, [z, *grid])
+    squares["static"] = static_error(train.segments, segments.some(~early), [z, *grid])
     validation = validated(squares, spread(segments.log.Y))
     lags = {name: each.lags for name, each in candidates.items() if each.lags is not None}
-    judged = np.isfinite(later.segments.Y[:, _third(later.segments) :]).any(axis=-1)
+    judged = np.isfinite(segments.Y[~early, _third(segments) :]).any(axis=-1)
     return validation._replace(
         samples=int(judged.sum()),
         delays={name: each.fit.delays for name, each in candidates.items()}, lags=lags,

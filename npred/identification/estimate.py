@@ -21,7 +21,7 @@ RECENTRED = 3  # times that the search goes on from a place of its profile that 
 PLACES = 8  # local minima of a scan that are looked at again
 TETHER = 0.3  # how far, relatively, a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
-MISSING = 2.0  # correlation time of residuals, in samples, from which on the model misses something
+MISSING = 2.0  # correlation time of residuals, in samples or segments, from which on the model misses something
 UNSHARP = 4.0  # times the level, for an input without sharp steps
 FEW = 5.0  # times CLEAR: so much worse by few segments alone is worse all the same
 NEARBY = 4.0  # times the least cost: minima of a grid that are looked at
@@ -41,7 +41,8 @@ class Delays:
     """Delays (m,), their intervals (m, 2), and the profiles that these come from.
 
     `others` are the parameters at other minima that the data do not tell from the best; `grid` are fits of part of the
-    samples all over the range; `accurate` is False where RK4's steps cannot be made fine enough.
+    samples all over the range; `accurate` is False where RK4's steps cannot be made fine enough; `drift` is the
+    correlation time, in segments, of what joined segments tell anew.
     """
 
     problem: Problem
@@ -54,11 +55,18 @@ class Delays:
     others: list[np.ndarray]
     grid: list[SegmentFit]
     accurate: bool
+    drift: float
 
     @property
     def size(self) -> float:
         """The logarithm of the errors."""
         return self.problem.size_of(self.fit)
+
+    @property
+    def lasting(self) -> float:
+        """For how long the plant goes one way against the model; 0 if that is for no longer than MISSING segments."""
+        t = self.problem.segments.t
+        return float(self.drift * np.median(t[:, -1] - t[:, 0])) if self.drift > MISSING else 0.0
 
     @property
     def levels(self) -> np.ndarray:
@@ -77,8 +85,14 @@ def levels_of(fit: SegmentFit, inflation: float, problem: Problem) -> np.ndarray
 def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Delays:
     """The delays between `low` and `high` (m,)."""
     begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
-    problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
+    sizes = np.array([few.size_of(fit) for _, few, fit in begins])
+    sizes[1:] += LOWER  # parameters that may be exchanged are taken as the first values have them
+    problem, few, fit = begins[sizes.argmin()]
     problem, fit, widths, accurate = _minimum(problem, few, fit, low, high)
+    if problem.jump is not None:
+        problem = problem.joined(fit)
+        step, least = float(widths.max()), FINEST * problem.segments.log.period
+        _, fit, widths = search.descend(problem.at, problem.fit(fit.delays, fit, 6), fit.delays, low, high, step, least)
     minimum = profiled(problem, fit, widths, low, high)
     problem, fit, inflation, profiles = minimum.problem, minimum.fit, minimum.inflation, minimum.profiles
     ends = np.empty((len(fit.delays), 2))
@@ -89,8 +103,9 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
     for place, rise, _ in others:
         if rise < FEW * CLEAR * inflation:
             ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-    others = [theta for *_, theta in others]
-    return Delays(problem, fit.delays, ends, fit, profiles, minimum.widths, inflation, others, grid, accurate)
+    drift, thetas = correlation_time(problem.surprises(fit)[None]), [theta for *_, theta in others]
+    widths = minimum.widths
+    return Delays(problem, fit.delays, ends, fit, profiles, widths, inflation, thetas, grid, accurate, drift)
 
 
 @dataclass(frozen=True)
@@ -147,7 +162,13 @@ def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem
     coarse = tethered(problem.some(COARSE), problem.prior.mean)  # once more, with the size of the residuals
     places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
     few = problem.some(SEARCHED)
-    return problem, few, min((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    fits = sorted((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    if problem.jump is None:
+        return problem, few, fits[0]
+    begun = problem.begun(fits[0])
+    problem = problem.joined(problem.fit(begun.delays, begun, 6))
+    few = problem.some(SEARCHED)
+    return problem, few, min((few.fit(fit.delays, few.begun(fit), 6) for fit in fits), key=lambda fit: fit.cost)
 
 
 def _minimum(
@@ -163,7 +184,7 @@ def _minimum(
             break
         problem, few = replace(problem, model=finer.model), finer
         fit, step = few.fit(z, fit, 6), max(float(widths.max()), period / 4)
-    if len(few.segments) < len(problem.segments):
+    if few.segments is not problem.segments:
         fit = problem.fit(z, problem.begun(fit))
         z, fit, widths = search.descend(problem.at, fit, z, low, high, float(widths.max()), FINEST * period)
     return problem, fit, widths, finer.model.steps <= STEPS
@@ -256,7 +277,7 @@ def correlation_time(residuals: np.ndarray) -> float:
     r = np.where(np.isfinite(residuals), residuals, 0.0)
     present = np.isfinite(residuals).astype(float)
     total, variance = 1.0, (r * r).sum() / max(present.sum(), 1)
-    for k in range(1, max(2, r.shape[1] // 3)):
+    for k in range(1, max(2, (r.shape[1] - 1) // 3)):
         pairs = (present[:, k:] * present[:, :-k]).sum()
         rho = (r[:, k:] * r[:, :-k]).sum() / max(pairs, 1) / max(variance, 1e-300)
         if rho <= 0:
@@ -265,7 +286,7 @@ def correlation_time(residuals: np.ndarray) -> float:
     return total
 
 
-def lasting(delays: Delays) -> float:
+def correlated_share(delays: Delays) -> float:
     """The size of errors that keep their sign from one sample to the next, in spreads of the output; of the worst."""
     errors, Y = delays.fit.residuals * delays.problem.scale, delays.problem.segments.Y
     products = np.nanmean(errors[:, 1:] * errors[:, :-1], axis=(0, 1))
@@ -299,7 +320,7 @@ def parameters(
 
     An interval is the least one around four: those of the cost's curvature at each delay that is possible, that of
     drawing the segments anew, the values at other minima, and, where it is wide, that of the profile over the other
-    parameters and the delay.
+    parameters and the delay. It is `drift` times as wide: the few swings of a slow disturbance do not average out.
     """
     problem, names = delays.problem, [*plant.p_names, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
@@ -324,17 +345,17 @@ def parameters(
         ends = np.quantile(drawn(profile, rng)[1], SHARES, axis=0)
         low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
         slope = np.polyfit(profile.values[near], thetas, 1)[0] if len(near) > 2 else np.zeros(len(theta))
-        moved.append(slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
+        moved.append(delays.drift * slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
     for other in delays.others:
         bounds = np.minimum(bounds[0], other), np.maximum(bounds[1], other)
     low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
-    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
+    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation * delays.drift**2
     covariance = covariance + sum(np.outer(each, each) for each in moved)
     size, free = np.sqrt(np.diag(covariance)), np.isinf(prior.deviation)
     for k in np.flatnonzero(free & (high - low > 2 * NORMAL * WIDE * np.abs(theta))):
         ends = _profiled(delays, theta, int(k), float(high[k] - low[k]) / (2 * NORMAL))
         low[k], high[k] = min(ends[0], bounds[0][k]), max(ends[1], bounds[1][k])
-    low, high = (np.clip(ends, *prior.limits) for ends in (low, high))
+    low, high = (np.clip(theta + delays.drift * (ends - theta), *prior.limits) for ends in (low, high))
     nearest = np.take_along_axis(np.array(moved), np.abs(moved).argmax(axis=0)[None], axis=0)[0]
     correlation = nearest / np.maximum(size, 1e-300)
     rows = [Parameter(*map(float, row)) for row in zip(theta, low, high, correlation, strict=True)]

@@ -33,6 +33,13 @@ def alike(log: Log) -> list[tuple[int, int]]:
     return [(i, j) for i, j in pairs if abs(U[:, i] @ U[:, j]) > SAME * size[i] * size[j]]
 
 
+def still(log: Log) -> np.ndarray:
+    """(m,) True for an input that changes in none of the recordings."""
+    ends = log.t[np.searchsorted(log.t, np.append(log.starts[1:], np.inf)) - 1]
+    parts = [(log.t_U >= begin) & (log.t_U < end) for begin, end in zip(log.starts, ends, strict=True)]
+    return ~np.any([(log.U[part] != log.U[part][:1]).any(axis=0) for part in parts], axis=0)
+
+
 def smooth(log: Log) -> np.ndarray:
     """(m,) True for an input without a sharp step: what disturbs the plant then looks much like another delay."""
     steps = np.abs(np.diff(log.U, axis=0, prepend=log.U[:1])).max(axis=0)

@@ -84,6 +84,11 @@ class Findings(Evidence):
                     f"Errors keep their sign for {self.inflation:.1f} samples: the model misses something in the log. "
                     "The intervals are widened for this, but they are valid for this model only."
                 )
+            if self.drift > 0:
+                lines.append(
+                    f"For about {self.plant.time_text(self.drift, '.3g')} at a time the plant goes one way against the "
+                    "model: something acts on it that the log does not have. The intervals of parameters are widened."
+                )
         errors = self.validation.errors
         if not errors:
             return [*lines, "The log is too short to hold back a part for validation."]

@@ -13,7 +13,7 @@ from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
 from npred.identification import alternatives, excitation, recordings, screening, windows
-from npred.identification.estimate import estimate, lasting, parameters
+from npred.identification.estimate import correlated_share, estimate, parameters
 from npred.identification.excitation import BetweenRows
 from npred.identification.fit import CHECKED, Prior, Problem
 from npred.identification.identified import Findings, Identified
@@ -68,8 +68,9 @@ def identify(
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
-    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
-    the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
+    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method, where a slow
+    plant's segments go on from each other; delays by the profile of the cost, which has kinks; intervals by the
+    profile and by drawing the segments anew.
 
     Parameters
     ----------
@@ -182,8 +183,8 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
 
 def _best(plant: Plant, log: Log, settings: Settings, rows: BetweenRows) -> Identified:
     """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
-    early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
-    moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
+    begins = log.starts[:, None] + np.linspace(0.0, longest(log, settings), 100)
+    moving = (np.ptp(log.arrived(begins, np.zeros(plant.m)), axis=1) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
     try:
         answer = _answer(plant, log, settings, rows, False)
     except ConfigError:
@@ -230,8 +231,8 @@ def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole
     findings = settled(Findings(
         plant, delays.values, early, delays.interval, high, log.period, others,
         alternatives.in_lines(fewer, low, high) if rows.moving else None, rows.late,
-        windows.over_time(delays, low, high), none, none, np.ptp(log.U, axis=0) == 0,
-        excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, lasting(delays),
+        windows.over_time(delays, low, high), none, none, excitation.still(log), excitation.alike(log), recurring,
+        asked, assumed, combination, delays.inflation, delays.lasting, correlated_share(delays),
         excitation.following(delays.fit.residuals, delays.problem.segments, delays.values), delays.accurate,
         bool(delays.others), excitation.followed(log), alternatives.held_back(delays, high),
     ))  # fmt: skip
@@ -356,7 +357,8 @@ def prepared(plant: Plant, log: Log, settings: Settings, whole: bool = False) ->
     problem = Problem(model, segments, scale, prior)
     low = np.full(plant.m, -EARLY * log.period)
     first = problem.some(CHECKED)
-    return replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model), low, np.full(plant.m, most_delay)
+    problem = replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model)
+    return problem.softened(problem.fit(low * 0, None, 0)), low, np.full(plant.m, most_delay)
 
 
 def longest(log: Log, settings: Settings) -> float:

@@ -39,13 +39,14 @@ class Evidence:
     windows: Windows
     varies: np.ndarray  # (m,) no constant delay fits the log and all of them
     lagged: np.ndarray  # (m,) a lag behind a delay that is far shorter fits about as well
-    still: np.ndarray  # (m,) inputs that never change
+    still: np.ndarray  # (m,) inputs that change in no recording
     alike: list[tuple[int, int]]  # inputs that move together
     recurring: np.ndarray  # (m,) after which time an input repeats itself, infinite where it does not
     parameters: Mapping[str, Parameter]
     assumed: dict[str, float]  # parameters that were not freed: how far from the plant's, in what was allowed
     combination: Combination | None
     inflation: float
+    drift: float  # time for which the plant goes one way against the model, 0 for none
     share: float  # of errors that keep their sign, in the spread of the outputs
     following: float  # how much of the errors follows the commands, R²
     accurate: bool
@@ -88,8 +89,8 @@ Objection = Callable[[Evidence, int], str]
 
 
 def still(evidence: Evidence, j: int) -> str:
-    name = evidence.plant.inputs[j]
-    return f"{name} never changes. Record steps of it." if evidence.still[j] else ""
+    cure = "Record steps of it. If a recording begins with a step, put a row with the command before it in front."
+    return f"{evidence.plant.inputs[j]} never changes. {cure}" if evidence.still[j] else ""
 
 
 def together(evidence: Evidence, j: int) -> str:

@@ -402,6 +402,46 @@ def test_several_logs_are_one_problem(tmp_path: Path):
     assert np.ptp(both.interval) < np.ptp(one.interval)
 
 
+class SlowHeater:
+    """A heater's block, which is not measured, and its sensor; an error of y0 is one of both."""
+
+    states, inputs = ("y", "b"), ("u",)
+    parameters = {"K": 0.9, "tau": 100.0, "tau2": 15.0, "y0": 18.0}
+    box, guess = {"y": (20.0, 60.0), "b": (20.0, 60.0)}, (40.0, 40.0)
+    f = lambda x, u, t, p, M: [(x.b - x.y) / p.tau2, (p.K * u.u + p.y0 - x.b) / p.tau]
+    kappa = lambda x, t, p, M: [(40.0 - p.y0) / p.K]
+
+
+def test_a_slow_plant_keeps_what_its_whole_log_knows():
+    """A time constant of a third of the log and two edges in a row of it; whatever the longest delay is."""
+    f = lambda x, u: np.array([(x[1] - x[0]) / 17, (0.6 * u[0] + 21 - x[1]) / 142])
+    commands = np.repeat([10.0, 80.0, 30.0, 60.0, 0.0, 100.0], [70, 60, 80, 60, 70, 80])[:, None]
+    t, U, X = recording(f, [30.0, 32.0], commands, [8.0], 1.0, 0.005, 5, outputs=1)
+    X, truth = np.append(X, np.nan * X, axis=1), {"K": 0.6, "tau": 142.0, "tau2": 17.0, "y0": 21.0}
+    plant = npred.plants.make("heater", SlowHeater)
+    found = [npred.identify(plant, t, U, X, free=list(truth), longest=longest) for longest in (20.0, 45.0)]
+    for each in found:
+        assert each.identifiable.all() and abs(each.D[0] - 8) < 1, each
+        for name, value in truth.items():
+            low, high = each.parameter_intervals[name]
+            assert low - 0.01 * value < value < high + 0.01 * value and high - low < 0.2 * value, each
+    one, other = (np.array([*each.interval, *each.parameter_intervals.values()]) for each in found)
+    assert (np.maximum(one[:, 0], other[:, 0]) <= np.minimum(one[:, 1], other[:, 1])).all()
+
+
+@pytest.mark.parametrize("row_before", [False, True])
+def test_a_step_in_the_first_row_needs_a_row_before_it(tmp_path: Path, row_before):
+    t, rng = PERIOD * np.arange(60), np.random.default_rng(0)
+    for k, u in enumerate([1.0, -0.5, 2.0]):
+        X = 2 * u * (1 - np.exp(-0.5 * np.maximum(t - 0.337, 0))) + 0.01 * rng.standard_normal(60)
+        rows = np.stack([t, np.where(row_before & (t == 0), 0.0, u), np.append(0.0, X[:-1])], axis=1)
+        np.savetxt(tmp_path / f"{k}.csv", rows, delimiter=",", header="t,U,X", comments="")
+    found = npred.identify(decay(), sorted(tmp_path.iterdir()), free=["a"], longest=1.0)
+    assert ("put a row with the command before it in front" in str(found)) is not row_before
+    assert found.identifiable.all() is np.bool_(row_before)
+    assert not row_before or abs(found.D[0] - 0.337) < PERIOD, found
+
+
 def test_a_column_is_scaled_and_then_shifted(tmp_path: Path):
     """Degrees Fahrenheit to Celsius, and an input that is as it is."""
     (tmp_path / "log.csv").write_text("time,F,U\n0,32,1\n1,212,1\n2,50,3\n")

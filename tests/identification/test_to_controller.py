@@ -80,7 +80,7 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         "windows": windows(0.3, 0.3), "varies": np.zeros(1, dtype=bool), "share": 0.0, "following": 0.0,
         "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
         "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
-        "combination": None, "inflation": 1.0, "accurate": True, "several": False, "closed": 0.0,
+        "combination": None, "inflation": 1.0, "drift": 0.0, "accurate": True, "several": False, "closed": 0.0,
         "validation": Validation({}, None),
     }  # fmt: skip
     return Findings(**found | changes)
