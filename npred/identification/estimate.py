@@ -289,9 +289,10 @@ def correlation_time(residuals: np.ndarray) -> float:
 def correlated_share(delays: Delays) -> float:
     """The size of errors that keep their sign from one sample to the next, in spreads of the output; of the worst."""
     errors, Y = delays.fit.residuals * delays.problem.scale, delays.problem.segments.Y
-    products = np.nanmean(errors[:, 1:] * errors[:, :-1], axis=(0, 1))
+    products = errors[:, 1:] * errors[:, :-1]
+    mean = np.nansum(products, axis=(0, 1)) / np.maximum(np.isfinite(products).sum(axis=(0, 1)), 1)
     wide = spread(Y.reshape(-1, Y.shape[-1]))
-    return float(np.sqrt(np.max(np.nan_to_num(products) / np.where(wide > 0, wide, np.inf) ** 2, initial=0.0)))
+    return float(np.sqrt(np.max(mean / np.where(wide > 0, wide, np.inf) ** 2, initial=0.0)))
 
 
 class Parameter(NamedTuple):

@@ -124,6 +124,13 @@ def recurring(evidence: Evidence, j: int) -> str:
     return f"{after}, so a delay is known only up to that time: {evidence.span(j)}. Record steps at random times."
 
 
+def more_states(evidence: Evidence, j: int) -> str:
+    long = f"errors keep their sign for {evidence.inflation:.1f} samples"
+    said = f"its {long}, and {evidence.following:.0%} of them follow the commands. Add the states or the mode"
+    whole = f"the plant has more states than the model: {said}. Any delay of {evidence.span(j)} is possible."
+    return whole if evidence.incomplete else ""
+
+
 def several(evidence: Evidence, j: int) -> str:
     best = evidence.plant.time_text(evidence.D[j], ".3g")
     said = f"several delays of {evidence.span(j)} fit about equally well; {best} is the best."
@@ -163,13 +170,8 @@ def a_lag_behind(evidence: Evidence, j: int) -> str:
 
 def poor(evidence: Evidence, j: int) -> str:
     long = f"errors keep their sign for {evidence.inflation:.1f} samples"
-    if evidence.incomplete:
-        said = f"its {long}, and {evidence.following:.0%} of them follow the commands. Add the states or the mode"
-        return f"the plant has more states than the model: {said}. Any delay of {evidence.span(j)} is possible."
-    if evidence.share > POOR and evidence.inflation > LONG:
-        said = f"the model is poor: its {long}, and are {evidence.share:.0%} of the spread of the outputs"
-        return f"{said}. Check the plant."
-    return ""
+    said = f"the model is poor: its {long}, and are {evidence.share:.0%} of the spread of the outputs. Check the plant."
+    return said if evidence.share > POOR and evidence.inflation > LONG else ""
 
 
 def beyond(evidence: Evidence, j: int) -> str:
@@ -190,8 +192,8 @@ def wide(evidence: Evidence, j: int) -> str:
 
 
 OBJECTIONS: tuple[Objection, ...] = (
-    still, together, closed, varying, before_its_command, another_plant, recurring, several, a_lag, poor, beyond,
-    a_lag_behind, wide,
+    still, together, closed, varying, before_its_command, another_plant, recurring, more_states, several, a_lag, poor,
+    beyond, a_lag_behind, wide,
 )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ def test_a_table_of_joints(tmp_path):
         assert joint["certain"] and joint["delay_interval"][0] <= delay <= joint["delay_interval"][1]
         assert np.ptp(joint["delay_interval"]) < 0.01 and joint["lag"] == pytest.approx(lag, rel=0.05)
         assert joint["gain"] == pytest.approx(1, rel=0.01)
-    assert not answer[2]["certain"] and answer[2]["why"] == "command never changes. Record steps of it."
+    assert not answer[2]["certain"] and answer[2]["why"].startswith("command never changes.")
 
 
 def test_the_table_is_printed_with_the_reasons(tmp_path, monkeypatch):
