@@ -227,7 +227,7 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
     first = train.fit(delays.values, replace(delays.fit, X=train.start()[0]), 6)
     z, fit, _ = search.descend(train.at, first, delays.values, np.zeros(len(high)), high, step, least)
     inputs, actual = list(range(len(z))), attrgetter("actual")
-    none = min((train.fit(0 * z, start, 6) for start in (None, fit)), key=actual)
+    none = min((train.fit(np.zeros(len(z)), start, 6) for start in (None, fit)), key=actual)
     for start in (first, none):  # a search that was lost is no model
         fit = min(fit, train.fit(delays.values, start, 6), key=actual)
     lag, behind = lag_instead(train, fit, inputs, float(high.max())), None
@@ -251,7 +251,7 @@ def held_back(delays: Delays, high: np.ndarray) -> Validation:
     judged = np.isfinite(segments.Y[~early, _third(segments) :]).any(axis=-1)
     return validation._replace(
         samples=int(judged.sum()),
-        delays={name: each.fit.delays for name, each in candidates.items()}, lags=lags,
+        delays={name: np.maximum(each.fit.delays, 0.0) for name, each in candidates.items()}, lags=lags,
     )  # fmt: skip
 
 
