@@ -11,7 +11,7 @@ from typing import Any
 
 PACKAGES = {
     "torch", "pandas", "onnx", "onnxruntime", "onnxscript", "scipy", "sympy", "distributed", "control",
-    "mcap", "mcap_ros2", "rosbags", "pyulog",
+    "mcap", "mcap_ros2", "rosbags", "pyulog", "pyarrow", "python_calamine",
 }  # fmt: skip
 
 

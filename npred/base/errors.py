@@ -57,7 +57,7 @@ class DivergedError(NpredError):
 EXTRAS = {  # the packages that a small installation lacks, by the extra that has them
     "torch": "train", "onnx": "onnx", "onnxruntime": "onnx", "onnxscript": "onnx", "scipy": "experiments",
     "pandas": "identify",
-    "mcap": "mcap", "rosbags": "rosbag", "pyulog": "ulog",
+    "mcap": "mcap", "rosbags": "rosbag", "pyulog": "ulog", "pyarrow": "parquet", "python_calamine": "excel",
 }  # fmt: skip
 
 

@@ -240,10 +240,23 @@ RECORDINGS = Registry(  # by the suffix of a file
     {
         **{
             suffix: Entry("npred.identification.recordings.text:Text", "table of text", extra="identify")
-            for suffix in ("csv", "txt", "tsv", "dat", "asc", "log", "lvm")
+            for suffix in ("csv", "txt", "tsv", "dat", "asc", "log", "lvm", "trace")
         },
+        **{
+            suffix: Entry("npred.identification.recordings.frames:Workbook", "workbook", extra="identify")
+            for suffix in ("xlsx", "xlsm", "xlsb", "xls", "ods")
+        },
+        "parquet": Entry("npred.identification.recordings.frames:Parquet", "Parquet", extra="identify"),
+        **{
+            suffix: Entry("npred.identification.recordings.arrays:Hdf5", "HDF5", extra="identify")
+            for suffix in ("h5", "hdf5", "hdf")
+        },
+        "npz": Entry("npred.identification.recordings.arrays:Npz", ".npz", extra="identify"),
         "mat": Entry("npred.identification.recordings.arrays:Mat", ".mat", extra="identify"),
-        "json": Entry("npred.identification.recordings.arrays:Json", "JSON", extra="identify"),
+        **{
+            suffix: Entry("npred.identification.recordings.arrays:Json", "JSON", extra="identify")
+            for suffix in ("json", "jsonl", "ndjson")
+        },
         "mcap": Entry("npred.identification.recordings.mcap:Mcap", "MCAP"),
         "bag": Entry("npred.identification.recordings.rosbag:Rosbag", "ROS 1 bag"),
         "db3": Entry("npred.identification.recordings.rosbag:Rosbag", "ROS 2 bag"),

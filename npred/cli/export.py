@@ -91,15 +91,16 @@ def _network(options: Exporting, key: str) -> NetworkAlone:
 
 
 def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
-    """The controller that a key and the flags mean. Raises ConfigError where there is none."""
+    """The controller that a key and the flags mean; of a pipeline that names no networks, with its predictor.
+
+    Raises ConfigError where there is none.
+    """
     path, colon, model = key.rpartition(":")
-    if options.predictor:
-        file, model = defaults.pipeline(path if colon else key), ""
-    elif not colon and (key.endswith(".toml") or "/" in key or key in defaults.shipped()):
-        raise ConfigError(f"{key}: expected PIPELINE:MODEL, got no model; add one, or give --predictor rk4")
-    else:
-        file = defaults.pipeline(path)
+    whole = not colon and bool(options.predictor or key.endswith(".toml") or "/" in key or key in defaults.shipped())
+    file, model = defaults.pipeline(key if whole else path), "" if whole or options.predictor else model
     pipeline = config.load(file, options.overrides)
+    if whole and not options.predictor and "train" in pipeline.model_fields_set:
+        raise ConfigError(f"{key}: expected PIPELINE:MODEL, got no model; add one, or give --predictor rk4")
     table, plant = pipeline.evaluate, plants.resolve(*pipeline.of_plant)
     nx = options.nx or table.nx
     exact = numerical(table.predictor, plant, nx)
@@ -111,7 +112,7 @@ def _loop(options: ExportingLoop, key: str, precision: str) -> WholeController:
         operator = weights.read(stored.folder, plant, stored.snapshot, kind, stored.config)
         predictor: Predictor = Fused(plant, operator, nx, stored.model, precision=kind)
     else:
-        predictor = numerical(options.predictor, plant, nx)
+        predictor = numerical(options.predictor or table.predictor, plant, nx)
     predictor = Guarded(predictor, exact=exact, **guard) if guard else predictor
     flags = {"max_sample_age": options.max_sample_age, "watchdog": watchdog(options.watchdog)}
     controller = of_table(plant, predictor, table, **{key: value for key, value in flags.items() if value is not None})

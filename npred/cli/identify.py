@@ -2,22 +2,29 @@
 
 import re
 import shutil
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
+from npred.base import devices
 from npred.base.errors import ConfigError, UnmetError
+from npred.base.json_files import plain
+from npred.base.progress import announce
 from npred.cli.execute import bring
 from npred.cli.options import Staged, argument, flag, rewritable
 from npred.identification.recordings import USUAL
 from npred.lab import config
 from npred.lab.config import Pipeline, dumps
 from npred.lab.config.results import IdentifiedResult
+from npred.lab.report.terminal.console import columns
+from npred.lab.scheduler import executors
 from npred.lab.stages.identify import pipeline
 from npred.lab.stages.identify.identify import PAGE
+
+FOR_JOINTS = {field.name for field in fields(Staged)} - {"set", "force"} | {"time", "time_unit", "period", "longest"}
 
 
 @dataclass(frozen=True)
@@ -126,12 +133,19 @@ def identify(
     accept: Annotated[
         bool, flag("If the delay is not identifiable, take its possible range as bounds of D_hat.", "--accept")
     ] = False,
+    joints: Annotated[
+        bool,
+        flag("Print a table of delay and lag of each joint, as action[0] and observation.state[0].", "--joints"),
+    ] = False,
 ) -> None:
-    """The answer of the stage; the page and the pipeline are written beside each other.
+    """The answer of the stage; the page and the pipeline are written beside each other. With `joints` only a table.
 
     Raises UnmetError where no pipeline is written: the model is refused, or the delay is not identifiable and not
     accepted, or `npred plants check` would say no of the pipeline.
     """
+    if joints:
+        _joints(options, output, accept)
+        return
     if output and "=" in output.name and output.suffix != ".toml":
         cure = f"an output of the plant and its column are --output-column {output}"
         raise ConfigError(f"--output: expected the file of the pipeline, got {str(output)!r}; {cure}")
@@ -169,3 +183,34 @@ def identify(
     options.show(result.json_object() | {"remarks": remarks, "files": list(map(str, files))}, lambda: said)
     if refusal:
         raise UnmetError(f"no pipeline was written: {refusal}")
+
+
+def _joints(options: Recorded, output: Path | None, accept: bool) -> None:
+    """Print the delay and the lag of each joint. Raises ConfigError for flags that are not for that."""
+    from npred.identification import joints
+
+    unused = [flag.name for flag in fields(Recorded) if flag.name not in FOR_JOINTS
+              and getattr(options, flag.name) not in (None, False)]  # fmt: skip
+    unused += ["output"] * (output is not None) + ["accept"] * accept
+    if unused:
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+        raise ConfigError(f"--joints: expected none of the flags of a plant, got {flags}; drop it")
+    reading = {"time": options.time, "time_unit": options.time_unit, "period": options.period}
+    tasks, notes = joints.tasks(options.logs, options.longest, **reading)
+    jobs = min(options.jobs or devices.cores(), len(tasks))
+    with announce("identifying joints", 3.0 * len(tasks) / jobs), executors.opened(executors.LOCAL, jobs) as executor:
+        answers = {task.name: answer for task, answer in executors.completed(executor, joints.identified, tasks)}
+    every = [answers[task.name] for task in tasks]
+    rows = [[joint.name, joint.command, joint.measured, *_numbers(joint)] for joint in every]
+    header = ["joint", "command", "position", "delay (s)", "95 %", "lag (s)", "95 %", "gain"]
+    reasons = [f"{joint.name}: {joint.why}" for joint in every if joint.why]
+    document = {"joints": [plain(asdict(joint)) for joint in every], "notes": notes}
+    width = options.console.width
+    options.show(document, lambda: "\n".join([*notes, columns(header, rows, width), *reasons]))
+
+
+def _numbers(joint: Any) -> list[str]:
+    """Delay, lag and gain in words; a dash for a delay that is only a range, and for what is not known."""
+    delay, bounded = f"{joint.delay:.4g}" if joint.certain else "–", np.isfinite(joint.lag_interval).all()
+    ends = [" to ".join(f"{end:.4g}" for end in each) for each in (joint.delay_interval, joint.lag_interval)]
+    return [delay, ends[0], *((f"{joint.lag:.4g}", ends[1], f"{joint.gain:.3g}") if bounded else "–––")]

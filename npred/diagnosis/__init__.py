@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from npred import plants
+from npred.base import progress
 from npred.base.errors import ConfigError
 from npred.base.registry import LAWS
 from npred.diagnosis import adaptive_loop, box, delay_margin, disturbance, equilibrium, from_the_box, loops, pi
@@ -64,10 +65,12 @@ def check(
     return answers(case)
 
 
+@progress.announce("checking the plant: its formulas, its equilibrium, the loops of its law")
 def answers(case: Case) -> list[Answer]:
     """Every question about a case with its answer; one whose prerequisite failed is skipped.
 
-    Raises ConfigError for a delay that is not positive, and for fewer than two nodes.
+    Nothing is said of its loops, whose control steps are no one else's. Raises ConfigError for a delay that is not
+    positive, and for fewer than two nodes.
     """
     plant = case.plant
     if not 0 < case.delay < np.inf:

@@ -9,6 +9,7 @@ import numpy as np
 from npred.base import randomness
 from npred.identification import excitation, search
 from npred.identification.fit import CLEAR, LEAST, STEPS, Problem, SegmentFit, better
+from npred.identification.log import spread
 from npred.identification.search import LEVEL, Profile
 from npred.plants import Plant
 
@@ -20,7 +21,7 @@ RECENTRED = 3  # times that the search goes on from a place of its profile that 
 PLACES = 8  # local minima of a scan that are looked at again
 TETHER = 0.3  # how far, relatively, a free parameter goes in the first scan, where the delay is still wrong
 APART = 2.0  # deviations by which one minimum is better than another
-MISSING = 2.0  # correlation time of residuals, in samples, from which on the model misses something
+MISSING = 2.0  # correlation time of residuals, in samples or segments, from which on the model misses something
 UNSHARP = 4.0  # times the level, for an input without sharp steps
 FEW = 5.0  # times CLEAR: so much worse by few segments alone is worse all the same
 NEARBY = 4.0  # times the least cost: minima of a grid that are looked at
@@ -39,8 +40,9 @@ TIGHT = 0.02  # share of the variance of the parameters, in their deviations, th
 class Delays:
     """Delays (m,), their intervals (m, 2), and the profiles that these come from.
 
-    `others` are the parameters at other minima that the data do not tell from the best; `accurate` is False where RK4's
-    steps cannot be made fine enough.
+    `others` are the parameters at other minima that the data do not tell from the best; `grid` are fits of part of the
+    samples all over the range; `accurate` is False where RK4's steps cannot be made fine enough; `drift` is the
+    correlation time, in segments, of what joined segments tell anew.
     """
 
     problem: Problem
@@ -51,12 +53,20 @@ class Delays:
     widths: np.ndarray
     inflation: float
     others: list[np.ndarray]
+    grid: list[SegmentFit]
     accurate: bool
+    drift: float
 
     @property
     def size(self) -> float:
         """The logarithm of the errors."""
         return self.problem.size_of(self.fit)
+
+    @property
+    def lasting(self) -> float:
+        """For how long the plant goes one way against the model; 0 if that is for no longer than MISSING segments."""
+        t = self.problem.segments.t
+        return float(self.drift * np.median(t[:, -1] - t[:, 0])) if self.drift > MISSING else 0.0
 
     @property
     def levels(self) -> np.ndarray:
@@ -74,10 +84,56 @@ def levels_of(fit: SegmentFit, inflation: float, problem: Problem) -> np.ndarray
 
 def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> Delays:
     """The delays between `low` and `high` (m,)."""
-    period = problem.segments.log.period
     begins = [_begin(begun, low, high) for begun in _starts(problem, low, high)]
-    problem, few, fit = min(begins, key=lambda each: each[1].size_of(each[2]))
-    problem, z, fit, widths, accurate = _minimum(problem, few, fit, low, high)
+    sizes = np.array([few.size_of(fit) for _, few, fit in begins])
+    sizes[1:] += LOWER  # parameters that may be exchanged are taken as the first values have them
+    problem, few, fit = begins[sizes.argmin()]
+    problem, fit, widths, accurate = _minimum(problem, few, fit, low, high)
+    if problem.jump is not None:
+        problem = problem.joined(fit)
+        step, least = float(widths.max()), FINEST * problem.segments.log.period
+        _, fit, widths = search.descend(problem.at, problem.fit(fit.delays, fit, 6), fit.delays, low, high, step, least)
+    minimum = profiled(problem, fit, widths, low, high)
+    problem, fit, inflation, profiles = minimum.problem, minimum.fit, minimum.inflation, minimum.profiles
+    ends = np.empty((len(fit.delays), 2))
+    for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
+        low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
+        ends[j] = min(minimum.interval[j, 0], low_draw), max(minimum.interval[j, 1], high_draw)
+    others, grid = _other_minima(minimum, low, high)
+    for place, rise, _ in others:
+        if rise < FEW * CLEAR * inflation:
+            ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
+    drift, thetas = correlation_time(problem.surprises(fit)[None]), [theta for *_, theta in others]
+    widths = minimum.widths
+    return Delays(problem, fit.delays, ends, fit, profiles, widths, inflation, thetas, grid, accurate, drift)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """A minimum: its problem with residuals of their size, its fit, and the profiles of the delays around it.
+
+    `interval` (m, 2) is that by costs; a width (m,) is where the cost rises by about 1.
+    """
+
+    problem: Problem
+    fit: SegmentFit
+    widths: np.ndarray
+    inflation: float
+    profiles: list[Profile]
+
+    @property
+    def levels(self) -> np.ndarray:
+        return levels_of(self.fit, self.inflation, self.problem)
+
+    @property
+    def interval(self) -> np.ndarray:
+        pairs = zip(self.profiles, self.levels, strict=True)
+        return np.array([search.interval(p.values, p.costs - p.costs.min(), level) for p, level in pairs])
+
+
+def profiled(problem: Problem, fit: SegmentFit, widths: np.ndarray, low: np.ndarray, high: np.ndarray) -> Minimum:
+    """The minimum near a fit; the search goes on from a place of its profile that is lower."""
+    z = fit.delays
     for left in reversed(range(RECENTRED)):
         problem = problem.rescaled(fit)
         fit = problem.fit(z, fit)
@@ -93,34 +149,32 @@ def estimate(problem: Problem, low: np.ndarray, high: np.ndarray, rng: np.random
         if not left or not best.cost < fit.cost - 0.1 * LEVEL:  # the profiles are those of the fit
             break
         z, fit, step = best.delays, problem.fit(best.delays, best, 6), float(widths.max())
+        period = problem.segments.log.period
         z, fit, widths = search.descend(problem.at, fit, z, low, high, step, FINEST * period)
-    ends = np.empty((len(z), 2))
-    for j, p in enumerate(profiles):  # the least interval around that by costs and that by segments drawn anew
-        by_cost = search.interval(p.values, p.costs - p.costs.min(), levels[j])
-        low_draw, high_draw = np.quantile(drawn(p, rng)[0], SHARES)
-        ends[j] = min(by_cost[0], low_draw), max(by_cost[1], high_draw)
-    others = _other_minima(problem, fit, profiles, low, high, inflation)
-    for place, rise, _ in others:
-        if rise < FEW * CLEAR * inflation:
-            ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
-    return Delays(problem, z, ends, fit, profiles, widths, inflation, [theta for *_, theta in others], accurate)
+    return Minimum(problem, fit, widths, inflation, profiles)
 
 
 def _begin(problem: Problem, low: np.ndarray, high: np.ndarray) -> tuple[Problem, Problem, SegmentFit]:
     """The problem with residuals of their size, the same on part of the samples, and the best fit of a scan to that."""
-    coarse, period = _tethered(problem.some(COARSE)), problem.segments.log.period
+    coarse, period = tethered(problem.some(COARSE), problem.prior.mean), problem.segments.log.period
     places = search.scan(lambda z, start: coarse.fit(z, start, 1), low, high, period)
     problem = problem.rescaled(problem.fit(places[0][0]))
-    coarse = _tethered(problem.some(COARSE))  # once more, with the size of the residuals
+    coarse = tethered(problem.some(COARSE), problem.prior.mean)  # once more, with the size of the residuals
     places = sorted(((z, coarse.fit(z, None, 2).cost) for z, _ in places[:PLACES]), key=lambda pair: pair[1])
     few = problem.some(SEARCHED)
-    return problem, few, min((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    fits = sorted((few.fit(z) for z, _ in places[:3]), key=lambda fit: fit.cost)
+    if problem.jump is None:
+        return problem, few, fits[0]
+    begun = problem.begun(fits[0])
+    problem = problem.joined(problem.fit(begun.delays, begun, 6))
+    few = problem.some(SEARCHED)
+    return problem, few, min((few.fit(fit.delays, few.begun(fit), 6) for fit in fits), key=lambda fit: fit.cost)
 
 
 def _minimum(
     problem: Problem, few: Problem, fit: SegmentFit, low: np.ndarray, high: np.ndarray
-) -> tuple[Problem, np.ndarray, SegmentFit, np.ndarray, bool]:
-    """The problem with steps fine enough at its minimum, the delays there, the fit, the widths; whether they are."""
+) -> tuple[Problem, SegmentFit, np.ndarray, bool]:
+    """The problem with steps fine enough at its minimum, the fit there, the widths; whether they are."""
     z, period = fit.delays, problem.segments.log.period
     step = period
     while True:
@@ -130,10 +184,10 @@ def _minimum(
             break
         problem, few = replace(problem, model=finer.model), finer
         fit, step = few.fit(z, fit, 6), max(float(widths.max()), period / 4)
-    if len(few.segments) < len(problem.segments):
+    if few.segments is not problem.segments:
         fit = problem.fit(z, problem.begun(fit))
         z, fit, widths = search.descend(problem.at, fit, z, low, high, float(widths.max()), FINEST * period)
-    return problem, z, fit, widths, finer.model.steps <= STEPS
+    return problem, fit, widths, finer.model.steps <= STEPS
 
 
 def _starts(problem: Problem, low: np.ndarray, high: np.ndarray) -> list[Problem]:
@@ -160,16 +214,22 @@ def _starts(problem: Problem, low: np.ndarray, high: np.ndarray) -> list[Problem
 
 
 def _other_minima(
-    problem: Problem, fit: SegmentFit, profiles: list[Profile], low: np.ndarray, high: np.ndarray, inflation: float
-) -> list[tuple[np.ndarray, float, np.ndarray]]:
+    minimum: Minimum, low: np.ndarray, high: np.ndarray
+) -> tuple[list[tuple[np.ndarray, float, np.ndarray]], list[SegmentFit]]:
     """Delays of local minima beyond the profiles, anywhere in the range, that are not clearly worse than the best, or
-    by few segments alone; by how much; and the parameters there.
+    by few segments alone; by how much; and the parameters there. Behind these, the fits of the scan.
     """
+    problem, fit, inflation, grid = minimum.problem, minimum.fit, minimum.inflation, []
     coarse, period = problem.some(COARSE), problem.segments.log.period
     best = coarse.fit(fit.delays, replace(coarse.begun(fit), theta=fit.best_theta))
-    ends = np.array([[p.values[0], p.values[-1]] for p in profiles]).T
+    ends = np.array([[p.values[0], p.values[-1]] for p in minimum.profiles]).T
     inner, outer = np.minimum(ends[0], fit.delays - period), np.maximum(ends[1], fit.delays + period)
-    minima = search.scan(lambda z, _: coarse.fit(z, best, 1), low, high, 2 * period)[: 2 * PLACES]
+
+    def at(z: np.ndarray, _: SegmentFit | None) -> SegmentFit:
+        grid.append(coarse.fit(z, best, 1))
+        return grid[-1]
+
+    minima = search.scan(at, low, high, 2 * period)[: 2 * PLACES]
     places = [z for z, cost in minima if cost < NEARBY * best.cost]
     places += [fit.delays[list(order)] for order in permutations(range(len(low)))][1:]
     others = []
@@ -180,15 +240,15 @@ def _other_minima(
         wrong = inflation > MISSING and other.cost < RIVAL * best.cost
         if wrong or not better(best, other, inflation, APART):
             others.append((z, 0.0 if wrong else other.cost - best.cost, other.best_theta))
-    return others
+    return others, grid
 
 
-def _tethered(problem: Problem) -> Problem:
-    """The problem with free parameters held near their values."""
+def tethered(problem: Problem, theta: np.ndarray) -> Problem:
+    """The problem with free parameters held near theta (q,)."""
     prior = problem.prior
-    near = np.where(prior.mean == 0, np.inf, TETHER * np.abs(prior.mean))
-    deviation = np.minimum(prior.deviation, near)
-    return replace(problem, prior=replace(prior, deviation=deviation))
+    mean = np.where(np.isinf(prior.deviation), theta, prior.mean)
+    near = np.where(mean == 0, np.inf, TETHER * np.abs(mean))
+    return replace(problem, prior=replace(prior, mean=mean, deviation=np.minimum(prior.deviation, near)))
 
 
 def drawn(profile: Profile, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -217,13 +277,22 @@ def correlation_time(residuals: np.ndarray) -> float:
     r = np.where(np.isfinite(residuals), residuals, 0.0)
     present = np.isfinite(residuals).astype(float)
     total, variance = 1.0, (r * r).sum() / max(present.sum(), 1)
-    for k in range(1, max(2, r.shape[1] // 3)):
+    for k in range(1, max(2, (r.shape[1] - 1) // 3)):
         pairs = (present[:, k:] * present[:, :-k]).sum()
         rho = (r[:, k:] * r[:, :-k]).sum() / max(pairs, 1) / max(variance, 1e-300)
         if rho <= 0:
             break
         total += 2 * rho
     return total
+
+
+def correlated_share(delays: Delays) -> float:
+    """The size of errors that keep their sign from one sample to the next, in spreads of the output; of the worst."""
+    errors, Y = delays.fit.residuals * delays.problem.scale, delays.problem.segments.Y
+    products = errors[:, 1:] * errors[:, :-1]
+    mean = np.nansum(products, axis=(0, 1)) / np.maximum(np.isfinite(products).sum(axis=(0, 1)), 1)
+    wide = spread(Y.reshape(-1, Y.shape[-1]))
+    return float(np.sqrt(np.max(mean / np.where(wide > 0, wide, np.inf) ** 2, initial=0.0)))
 
 
 class Parameter(NamedTuple):
@@ -252,7 +321,7 @@ def parameters(
 
     An interval is the least one around four: those of the cost's curvature at each delay that is possible, that of
     drawing the segments anew, the values at other minima, and, where it is wide, that of the profile over the other
-    parameters and the delay.
+    parameters and the delay. It is `drift` times as wide: the few swings of a slow disturbance do not average out.
     """
     problem, names = delays.problem, [*plant.p_names, *(f"offset of {name}" for name in plant.inputs)]
     prior, theta = problem.prior, delays.fit.best_theta
@@ -277,17 +346,17 @@ def parameters(
         ends = np.quantile(drawn(profile, rng)[1], SHARES, axis=0)
         low, high = np.minimum(low, ends[0]), np.maximum(high, ends[1])
         slope = np.polyfit(profile.values[near], thetas, 1)[0] if len(near) > 2 else np.zeros(len(theta))
-        moved.append(slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
+        moved.append(delays.drift * slope * np.ptp(delays.interval[j]) / (2 * NORMAL))
     for other in delays.others:
         bounds = np.minimum(bounds[0], other), np.maximum(bounds[1], other)
     low, high = np.minimum(low, bounds[0]), np.maximum(high, bounds[1])
-    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation
+    covariance = _covariance(delays.fit.H.sum(axis=0) + np.diag(prior.weight)) * delays.inflation * delays.drift**2
     covariance = covariance + sum(np.outer(each, each) for each in moved)
     size, free = np.sqrt(np.diag(covariance)), np.isinf(prior.deviation)
     for k in np.flatnonzero(free & (high - low > 2 * NORMAL * WIDE * np.abs(theta))):
         ends = _profiled(delays, theta, int(k), float(high[k] - low[k]) / (2 * NORMAL))
         low[k], high[k] = min(ends[0], bounds[0][k]), max(ends[1], bounds[1][k])
-    low, high = (np.clip(ends, *prior.limits) for ends in (low, high))
+    low, high = (np.clip(theta + delays.drift * (ends - theta), *prior.limits) for ends in (low, high))
     nearest = np.take_along_axis(np.array(moved), np.abs(moved).argmax(axis=0)[None], axis=0)[0]
     correlation = nearest / np.maximum(size, 1e-300)
     rows = [Parameter(*map(float, row)) for row in zip(theta, low, high, correlation, strict=True)]

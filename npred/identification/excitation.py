@@ -1,14 +1,20 @@
 """How the commands of a recording move: alike, again and again, or after the outputs."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from npred.identification.log import Log
+from npred.identification.log import Log, Segments
+from npred.identification.screening import GAP
 
 GRID = 4000  # samples of the commands by which they are compared
 SAME = 0.995  # correlation of two inputs that move together
 SHARP = 0.5  # of an input's range in one step
 REPEATED = 0.9  # correlation of an input with itself, a period later
 TURNED = 0.5  # before that it has to fall below this, else it is only slow
+MISSING = 1.5  # periods without a row: one is missing
+REGULAR, OFF = 0.9, 0.2  # share of the rows that are so many periods off a regular clock at most
+BEFORE = 9  # places in the span of a segment before a sample, whose commands may explain its error
 LAGS = 3  # samples of the outputs that a law may take
 
 
@@ -27,10 +33,39 @@ def alike(log: Log) -> list[tuple[int, int]]:
     return [(i, j) for i, j in pairs if abs(U[:, i] @ U[:, j]) > SAME * size[i] * size[j]]
 
 
+def still(log: Log) -> np.ndarray:
+    """(m,) True for an input that changes in none of the recordings."""
+    ends = log.t[np.searchsorted(log.t, np.append(log.starts[1:], np.inf)) - 1]
+    parts = [(log.t_U >= begin) & (log.t_U < end) for begin, end in zip(log.starts, ends, strict=True)]
+    return ~np.any([(log.U[part] != log.U[part][:1]).any(axis=0) for part in parts], axis=0)
+
+
 def smooth(log: Log) -> np.ndarray:
     """(m,) True for an input without a sharp step: what disturbs the plant then looks much like another delay."""
     steps = np.abs(np.diff(log.U, axis=0, prepend=log.U[:1])).max(axis=0)
     return steps < SHARP * np.ptp(log.U, axis=0)
+
+
+class BetweenRows(NamedTuple):
+    """What a log does not show of its commands between two rows.
+
+    `late` (m,) is how much older than its row a command may be in the mean, where rows of a regular clock are missing;
+    `moving` is True if commands move in most rows, and so between them perhaps.
+    """
+
+    late: np.ndarray
+    moving: bool
+
+
+def between_rows(log: Log) -> BetweenRows:
+    """What the log does not show of its commands between two rows."""
+    gaps, steps = np.diff(log.t_U), np.abs(np.diff(log.U, axis=0))
+    period = np.median(gaps[gaps < MISSING * np.quantile(gaps, 0.1)])
+    count = gaps / period
+    regular = np.mean(np.abs(count - np.round(count)) < OFF) > REGULAR
+    older = np.where((count > MISSING) & (count < GAP) & regular, gaps - period, 0.0)
+    total = np.maximum((steps**2).sum(axis=0), 1e-300)
+    return BetweenRows(older @ steps**2 / total, bool(((steps > 0).mean(axis=0) > 0.5).any() and smooth(log).any()))
 
 
 def recurring(log: Log, longest: np.ndarray) -> np.ndarray:
@@ -66,6 +101,27 @@ def followed(log: Log) -> float:
     columns += [np.cumsum((y - y.mean()) * span) for y in Y for span in spans]
     A, U = np.stack(columns, axis=1)[LAGS:], log.U[LAGS:]
     return min(_explained(U, A), _explained(np.diff(U, axis=0), np.diff(A, axis=0)))
+
+
+def following(residuals: np.ndarray, segments: Segments, delays: np.ndarray) -> float:
+    """R² of the errors (S, K, outputs) of a fit by the commands that arrived before, of segments that it is not fitted
+    to: above 0 where the plant answers commands otherwise than the model.
+    """
+    spans = segments.t[:, -1] - segments.t[:, 0]
+    steps = np.append(-delays.max() * np.array([0.75, 0.5, 0.25]), np.linspace(0.0, 1.0, BEFORE) * np.median(spans))
+    A = np.concatenate([segments.log.arrived(segments.t, delays + step) for step in steps], axis=-1)
+    present, errors = np.isfinite(residuals), np.nan_to_num(residuals)
+    total, left, odd = 0.0, 0.0, np.arange(len(A)) % 2 == 1
+    for k in range(errors.shape[-1]):
+        rows = present[..., k]
+        count = np.maximum(rows.sum(axis=1), 1)[:, None, None]
+        within = np.where(rows[..., None], A - (A * rows[..., None]).sum(axis=1, keepdims=True) / count, 0.0)
+        e = np.where(rows, errors[..., k] - errors[..., k].sum(axis=1, keepdims=True) / count[..., 0], 0.0)
+        for part in (odd, ~odd):
+            gains = np.linalg.lstsq(within[part].reshape(-1, A.shape[-1]), e[part].ravel(), rcond=1e-6)[0]
+            left += ((e[~part] - within[~part] @ gains) ** 2).sum()
+            total += (e[~part] ** 2).sum()
+    return float(1 - left / total) if total > 0 else 0.0
 
 
 def _explained(U: np.ndarray, Y: np.ndarray) -> float:

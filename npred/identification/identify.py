@@ -12,22 +12,22 @@ from npred.base import array_checks, progress, randomness
 from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
-from npred.identification import alternatives, excitation, recordings, screening
-from npred.identification.estimate import Delays, estimate, parameters
+from npred.identification import alternatives, excitation, recordings, screening, windows
+from npred.identification.estimate import correlated_share, estimate, parameters
+from npred.identification.excitation import BetweenRows
 from npred.identification.fit import CHECKED, Prior, Problem
-from npred.identification.identified import Findings, Identified, Windows
+from npred.identification.identified import Findings, Identified
 from npred.identification.log import Log, Segments, mean_square, spread
 from npred.identification.model import RolloutModel
+from npred.identification.objections import settled
 from npred.identification.recordings import TimeSeries
 from npred.plants import Plant
 from npred.plants.base import require
 
 SETTLING, LARGER = 10, 2.0  # periods of a begin, and mean squares of its errors, times those of the whole log
 DEGREES = ("deg", "°")  # how a unit of angles begins
-ALIKE = 0.05  # of the logarithm of errors: two ways to hold an input fit alike
 FAR = 3.0  # widths of the box beyond it
 EARLY_SHARE = 0.5  # of the range of a command, within the longest delay: the answer may be there
-WINDOW = 8, 20  # segments of a window, and windows, at most
 MODEL_ERROR = 0.05
 EARLY = 3  # periods before its command that an input is tried
 RANGE = 5, 400  # by default delays up to a fifth of the log are tried, and up to so many periods
@@ -68,8 +68,9 @@ def identify(
 ) -> Identified:  # fmt: skip
     """The delay of each input, and the parameters `free`, by a recording of the plant: what it tells, and what not.
 
-    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method; delays by
-    the profile of the cost, which has kinks; intervals by the profile and by drawing the segments anew.
+    The fit is by rollouts over short segments each with its initial state, by Gauss and Newton's method, where a slow
+    plant's segments go on from each other; delays by the profile of the cost, which has kinks; intervals by the
+    profile and by drawing the segments anew.
 
     Parameters
     ----------
@@ -163,34 +164,36 @@ def of_log(plant: Plant, log: Log, settings: Settings, notes: Sequence[str] = ()
     command before the log is taken for its first one, and all of it is used.
     """
     log, bad = screening.screened(log, plant.outputs)
-    straight = settings.hold == "linear"
+    straight, rows = settings.hold == "linear", excitation.between_rows(log)
+    rows = rows._replace(moving=rows.moving and settings.hold is None)
     with np.errstate(all="ignore"):  # a model that runs away is no fault of the program
-        answer = _best(plant, log.as_lines() if straight else log.held(), settings)
+        answer = _best(plant, log.as_lines() if straight else log.held(), settings, rows)
         other = None
-        if settings.hold is None and (answer.details["early"] < 0).any():
-            other = _best(plant, log.as_lines(), settings)
+        findings = answer.details["findings"]
+        if settings.hold is None and ((findings.early < 0).any() or (findings.lines and findings.lines.better)):
+            other = _best(plant, log.as_lines(), settings, rows._replace(moving=False))
     if other:
         sizes = [each.details["estimate"].size for each in (answer, other)]
-        if sizes[1] < sizes[0] + (ALIKE if (other.details["early"] >= 0).all() else 0.0):
+        if sizes[1] < sizes[0] + (alternatives.ALIKE if (other.details["findings"].early >= 0).all() else 0.0):
             answer = other
             share = np.exp(sizes[1] - sizes[0])
             bad.append(f"Inputs in straight lines fit better than held ones, with errors {share:.2f} times as large.")
     return replace(answer, sentences=[*notes, *bad, *answer.sentences])
 
 
-def _best(plant: Plant, log: Log, settings: Settings) -> Identified:
+def _best(plant: Plant, log: Log, settings: Settings, rows: BetweenRows) -> Identified:
     """The answer by what comes after the longest delay; by all, if that leaves less open and commands move before."""
-    early = log.arrived(np.linspace(log.begin, log.begin + longest(log, settings), 100), np.zeros(plant.m))
-    moving = (np.ptp(early, axis=0) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
+    begins = log.starts[:, None] + np.linspace(0.0, longest(log, settings), 100)
+    moving = (np.ptp(log.arrived(begins, np.zeros(plant.m)), axis=1) > EARLY_SHARE * np.ptp(log.U, axis=0)).any()
     try:
-        answer = _answer(plant, log, settings, False)
+        answer = _answer(plant, log, settings, rows, False)
     except ConfigError:
         if not moving:
             raise
-        return _answer(plant, log, settings, True)
-    if not moving or answer.identifiable.all() or answer.refused:
+        return _answer(plant, log, settings, rows, True)
+    if not moving or answer.identifiable.all() or answer.refused or answer.details["findings"].varies.any():
         return answer
-    whole = _answer(plant, log, settings, True)
+    whole = _answer(plant, log, settings, rows, True)
     if whole.refused or not _begins_held(whole):
         return answer
     return max(answer, whole, key=lambda each: (each.identifiable.sum(), -np.ptp(each.interval, axis=1).sum()))
@@ -204,12 +207,12 @@ def _begins_held(answer: Identified) -> bool:
     return bool(mean_square(r).max() < LARGER * max(mean_square(estimate.fit.residuals).max(), 1e-300))
 
 
-def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identified:
+def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole: bool) -> Identified:
     """The answer by the whole log, or by what comes after the longest delay."""
     problem, low, high = prepared(plant, log, settings, whole)
     delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))
     segments = delays.problem.segments
-    bad = screening.outside(delays.fit.residuals, segments.Y)
+    bad = screening.outside(delays.problem.tolerant(delays.fit) * delays.problem.scale, segments.Y)
     lines = []
     if bad.any():  # once more without them
         out = bad.any(axis=-1)
@@ -220,45 +223,33 @@ def _answer(plant: Plant, log: Log, settings: Settings, whole: bool) -> Identifi
         delays = estimate(problem, low, high, randomness.generator(settings.seed, "identify"))
     fewer = alternatives.thinned(delays)
     others = [alternatives.of_input(fewer, j, high[j]) for j in range(plant.m)]
-    interval = delays.interval.copy()
-    for ends, other in zip(interval, others, strict=True):
-        ends[0] = min(0.0, ends[0]) if other.as_good else min(ends[0], other.behind[0] if other.behind else np.inf)
-        if ends[0] < -log.period < 0 <= ends[1]:  # a log that cannot exclude that tells no delay
-            ends[1] = max(ends[1], 1.01 * log.period)
-        # an input acts after its command; if the log says before, its stamp or its samples are off by a period or so
-        ends[:] = max(ends[0], 0.0), max(ends[1], other.lag if other.short else 0.0) if ends[1] >= 0 else log.period
     recurring = excitation.recurring(log, high)
     recurring = np.where(alternatives.recurs(fewer, recurring, low, high), recurring, np.inf)
-    for j in np.flatnonzero(recurring < high):  # a delay is known up to that time only
-        period, (low_end, high_end) = recurring[j], interval[j]
-        interval[j] = low_end - period * (low_end // period), high_end + period * ((high[j] - high_end) // period)
     early = np.where(delays.interval[:, 1] < 0, delays.values, 0.0)
-    lagged = np.array([o.least < min(0.5 * e[0], e[0] - np.ptp(e)) for o, e in zip(others, interval, strict=True)])
     asked, assumed, combination = parameters(plant, delays, settings.seed)
-    findings = Findings(
-        plant, np.maximum(delays.values, 0.0), early, interval, high, log.period, others, lagged,
-        np.ptp(log.U, axis=0) == 0,
-        excitation.alike(log), recurring, asked, assumed, combination, delays.inflation, delays.accurate,
+    none = np.zeros(plant.m, dtype=bool)
+    findings = settled(Findings(
+        plant, delays.values, early, delays.interval, high, log.period, others,
+        alternatives.in_lines(fewer, low, high) if rows.moving else None, rows.late,
+        windows.over_time(delays, low, high), none, none, excitation.still(log), excitation.alike(log), recurring,
+        asked, assumed, combination, delays.inflation, delays.lasting, correlated_share(delays),
+        excitation.following(delays.fit.residuals, delays.problem.segments, delays.values), delays.accurate,
         bool(delays.others), excitation.followed(log), alternatives.held_back(delays, high),
-    )  # fmt: skip
-    if findings.silent:
-        findings.interval[:], asked = np.stack([0 * high, high], axis=1), {}
-    for ends, other, certain in zip(findings.interval, others, findings.identifiable, strict=True):
-        ends[0] = ends[0] if certain else min(ends[0], other.least)
+    ))  # fmt: skip
+    asked = {} if findings.silent else asked
     if whole:
         lines.append("Before the recording starts, its first command is assumed.")
     else:
         first = plant.time_text(high.max(), ".3g")
         lines.append(f"The first {first} give only commands, because commands from before may still act then.")
-    windows = None
-    if settings.time_varying:  # each by itself
-        windows = _windows(delays, low, high, settings.seed)
-        lines += windows.sentences(plant, findings.interval)
+    if settings.time_varying:
+        lines += [findings.windows.sentence(plant, j, delays.interval[j]) for j in range(plant.m)]
     return Identified(
         plant, findings.D, findings.interval, findings.identifiable, findings.silent,
         {name: row.value for name, row in asked.items()}, {name: (row.low, row.high) for name, row in asked.items()},
-        findings.validation.errors, [*lines, *_far(plant, log), *findings.sentences], windows,
-        {"estimate": delays, "log": log, "early": early, "combination": combination},
+        findings.validation.errors, [*lines, *_far(plant, log), *findings.sentences],
+        findings.windows if settings.time_varying or findings.varies.any() else None,
+        {"estimate": delays, "log": log, "findings": findings, "combination": combination},
     )  # fmt: skip
 
 
@@ -275,17 +266,6 @@ def _far(plant: Plant, log: Log) -> list[str]:
                 cure = f", from degrees by the factor {np.pi / 180:.6g}" if angle else ""
                 lines.append(f"{both}: if the units differ, scale its column{cure}.")
     return lines
-
-
-def _windows(delays: Delays, low: np.ndarray, high: np.ndarray, seed: int) -> Windows:
-    """The delays of parts of the log, each by itself."""
-    segments, (least, most), rows = delays.problem.segments, WINDOW, []
-    count = int(np.clip(len(segments) // least, 1, most))
-    for k, chosen in enumerate(np.array_split(np.arange(len(segments)), count)):
-        part, rng = segments.some(chosen), randomness.generator(seed, "window", k)
-        one = estimate(replace(delays.problem, segments=part), low, high, rng)
-        rows.append(((part.t[0, 0] + part.t[-1, -1]) / 2, one.values, one.interval))
-    return Windows(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def recorded(
@@ -377,7 +357,8 @@ def prepared(plant: Plant, log: Log, settings: Settings, whole: bool = False) ->
     problem = Problem(model, segments, scale, prior)
     low = np.full(plant.m, -EARLY * log.period)
     first = problem.some(CHECKED)
-    return replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model), low, np.full(plant.m, most_delay)
+    problem = replace(problem, model=first.refined(first.fit(low * 0, None, 0)).model)
+    return problem.softened(problem.fit(low * 0, None, 0)), low, np.full(plant.m, most_delay)
 
 
 def longest(log: Log, settings: Settings) -> float:

@@ -163,7 +163,7 @@ def spread(values: np.ndarray) -> np.ndarray:
 class Segments:
     """Runs of samples (S, K), each with its initial state; `mask` says which places hold a sample.
 
-    Y is NaN where an output has no sample.
+    Y is NaN where an output has no sample. The last place has the time at which the next one begins, if that goes on.
     """
 
     log: Log
@@ -177,13 +177,16 @@ class Segments:
         """Segments of about so many samples, none over a time longer than `gap` without a sample."""
         breaks = np.flatnonzero(np.diff(log.t) > gap) + 1
         groups: list[np.ndarray] = []
+        after: list[int] = []
         for run in np.split(np.arange(len(log.t)), breaks):
-            groups += [part for part in np.array_split(run, max(1, round(len(run) / rows))) if len(part) > 1]
+            parts = [part for part in np.array_split(run, max(1, round(len(run) / rows))) if len(part) > 1]
+            groups += parts
+            after += [part[0] for part in parts[1:]] + [part[-1] for part in parts[-1:]]
         if not groups:
             raise ConfigError(f"log: expected samples closer than {gap:g} to each other, got none; check their times")
-        longest = max(map(len, groups))
-        places = np.array([np.append(g, np.full(longest - len(g), g[-1])) for g in groups])
-        mask = np.arange(longest) < np.array([len(g) for g in groups])[:, None]
+        most = max(map(len, groups))
+        places = np.array([[*g, *[g[-1]] * (most - len(g)), k] for g, k in zip(groups, after, strict=True)])
+        mask = np.arange(most + 1) < np.array([len(g) for g in groups])[:, None]
         return cls(log, log.t[places], np.where(mask[..., None], log.Y[places], np.nan), mask, log.rows[places])
 
     def __len__(self) -> int:
@@ -193,11 +196,31 @@ class Segments:
         """Some of the segments."""
         return Segments(self.log, self.t[chosen], self.Y[chosen], self.mask[chosen], self.rows[chosen])
 
+    def sparser(self, every: int) -> "Segments":
+        """Every so many of the samples, in all segments."""
+        places = np.append(np.arange(0, self.t.shape[1] - 1, every), -1)
+        return Segments(self.log, *(a[:, places] for a in (self.t, self.Y, self.mask, self.rows)))
+
+    def apart(self) -> "Segments":
+        """The same, none of which goes on to the next."""
+        return replace(self, t=np.append(self.t[:, :-1], self.t[:, -2:-1], axis=1))
+
+    @cached_property
+    def joins(self) -> np.ndarray:
+        """(S,) True where the log goes on from the end of a segment to the next one."""
+        return self.t[:, -1] > np.where(self.mask, self.t, -np.inf).max(axis=1)
+
+    @cached_property
+    def follows(self) -> np.ndarray:
+        """(S,) True where a segment begins at the end of the one before it."""
+        return np.append(False, self.joins[:-1] & (self.t[:-1, -1] == self.t[1:, 0]))
+
     def pieces(self, delays: Sequence[float] | np.ndarray) -> "Pieces":
         """The pieces of each segment where input j arrives delays[j] late."""
         log, starts, ends = self.log, self.t[:, 0], self.t[:, -1]
+        asked = self.mask | (self.joins[:, None] & (np.arange(self.t.shape[1]) == self.t.shape[1] - 1))
         arrivals = log.t_U[:, None] + np.asarray(delays, dtype=float)  # (K, m)
-        samples = self.t[self.mask]
+        samples = self.t[asked]
         events = np.unique(np.concatenate([samples, *(_between(column, starts, ends) for column in arrivals.T)]))
         owner = np.searchsorted(starts, events, side="left") - 1  # the segment that began before the event
         inside = (owner >= 0) & (events <= ends[np.maximum(owner, 0)])
@@ -213,7 +236,7 @@ class Segments:
         u[row, :, owner], spans[row, owner], moments[row, owner] = held, events - begins, begins
         place = np.searchsorted(events, samples)
         rows = np.zeros(self.t.shape, dtype=int)  # 0 is the initial state
-        rows[self.mask] = row[np.minimum(place, len(events) - 1)] + 1
+        rows[asked] = row[np.minimum(place, len(events) - 1)] + 1
         rows[:, 0] = 0
         return Pieces(u, spans, moments, rows)
 

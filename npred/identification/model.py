@@ -50,9 +50,13 @@ class RolloutModel:
 
         `lag` are the states of the lags at the begin of each segment (S, m), and tau (m,).
         """
-        exact = self.plant.traced and operations(self.plant, "f") <= LONG
         with np.errstate(all="ignore"):
-            return (self._exact if exact else self._differences)(X, theta, pieces, lag)
+            return (self._exact if self._alike._short else self._differences)(X, theta, pieces, lag)
+
+    @cached_property
+    def _short(self) -> bool:
+        """True if f is a formula that is short enough for exact derivatives."""
+        return self.plant.traced and operations(self.plant, "f") <= LONG
 
     def _exact(self, X: np.ndarray, theta: np.ndarray, pieces: Pieces, lag: Any) -> tuple[np.ndarray, np.ndarray]:
         n, columns = self.plant.n, self.plant.n + len(self.free)

@@ -66,7 +66,9 @@ def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
         if len(places) < 4 * WINDOW:
             continue
         y = column[places]
-        off = np.abs(y - np.median(np.lib.stride_tricks.sliding_window_view(np.pad(y, WINDOW // 2, "edge"), WINDOW), 1))
+        off = np.abs(
+            y - np.median(np.lib.stride_tricks.sliding_window_view(np.pad(y, WINDOW // 2, "reflect"), WINDOW), 1)
+        )
         wide = np.subtract(*np.quantile(y, [0.99, 0.01]))
         bad = off > max(FAR * 1.4826 * np.median(off), wide)
         if wide > 0 and 0 < bad.sum() <= max(RARE * len(y), 1):
@@ -87,13 +89,40 @@ def screened(log: Log, outputs: Sequence[str]) -> tuple[Log, list[str]]:
 
 
 def outside(residuals: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """(..., q) True for single samples that a fit misses by far, where they are rare."""
+    """(S, K, q) True for samples that a fit misses by far, where they, and even more their runs, are rare.
+
+    Residuals are in the unit of Y. Segments follow each other in time. A fit that follows a bad sample, as by an
+    initial state, misses its neighbours.
+    """
     finite = np.isfinite(residuals) & np.isfinite(Y)
-    if not finite.any():
-        return finite
-    size = 1.4826 * np.nanmedian(np.where(finite, np.abs(residuals), np.nan), axis=(0, 1))
+    columns = zip(np.abs(residuals).T, finite.T, strict=True)
+    size = np.array([1.4826 * np.median(r[measured]) if measured.any() else 0.0 for r, measured in columns])
     bad = finite & (np.abs(residuals) > OUTSIDE * size)
-    return bad if bad.sum() <= RARE * finite.sum() / 2 else np.zeros_like(bad)
+    runs = bad.sum() - (bad[:, 1:] & bad[:, :-1]).sum()
+    if bad.sum() > RARE * finite.sum() or runs > RARE * finite.sum() / 2:
+        return np.zeros_like(bad)
+    for k in range(bad.shape[-1]):
+        measured = finite[..., k]
+        bad[measured, k] = _excursions(bad[measured, k], Y[measured, k], OUTSIDE * size[k])
+    return bad
+
+
+def _excursions(bad: np.ndarray, y: np.ndarray, least: float) -> np.ndarray:
+    """The runs of samples (N,) that are `bad`, each moved by up to its length to where y goes away and comes back.
+
+    That is where the path of the others, the sum of |y_k+1 - y_k|, is the shortest. A run that does not make the path
+    longer by `least` is none: there the model is wrong.
+    """
+    shifted, places = np.zeros_like(bad), np.flatnonzero(bad)
+    for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(places) else ():
+        count = len(run)
+        low, high = max(run[0] - count - 1, 0), min(run[-1] + count + 2, len(y))
+        shifts = sorted(range(-count, count + 1), key=abs)
+        begins = [run[0] + shift for shift in shifts if 0 <= run[0] + shift <= len(y) - count]
+        paths = [np.abs(np.diff(np.delete(y[low:high], np.arange(count) + b - low))).sum() for b in begins]
+        begin = begins[int(np.argmin(paths))]
+        shifted[begin : begin + count] = np.abs(np.diff(y[low:high])).sum() - min(paths) > least
+    return shifted
 
 
 def left_out(name: str, rows: np.ndarray, values: Sequence[float] | np.ndarray = ()) -> str:

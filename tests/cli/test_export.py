@@ -58,6 +58,17 @@ def export(trained, tmp_path, monkeypatch):
     )
 
 
+def test_a_controller_of_a_pipeline_that_names_networks_says_which(tmp_path):
+    """One that names none, as that of a recording, is exported with its predictor."""
+    text = 'plant = "scalar"\n[evaluate]\nX0 = [1.0]\nactuator = "history"\nadaptation = "frozen"\n'
+    (tmp_path / "p.toml").write_text(text)
+    (tmp_path / "n.toml").write_text(text + "[train.deeponet]\n")
+    done, refused = (CliRunner().invoke(app, ["export", "controller", f"{tmp_path / name}.toml", "-o", str(tmp_path)])
+                     for name in "pn")  # fmt: skip
+    assert done.exit_code == 0 and "<RK4 'rk4' of plant scalar" in done.stdout
+    assert refused.exit_code == 2 and "got no model; add one, or give --predictor rk4" in refused.stderr
+
+
 @pytest.mark.parametrize("form", ["onnx", "c"])
 def test_writes_a_file(export, form):
     if form == "onnx":

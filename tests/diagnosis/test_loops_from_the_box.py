@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import npred
 from npred import diagnosis
+from npred.base import progress
 from npred.base.matrices import exponential
 from npred.cli import app
 from npred.diagnosis import Case, disturbance, loops
@@ -29,6 +30,20 @@ class Servo:
     input_bounds = ((-4.0, 4.0),)
     f = lambda x, u, t, p, M: [x.speed, -p.a * M.tanh(x.speed / p.eps) - p.c * x.speed + u.u]
     kappa = lambda x, t, p, M: [-8 * (x.angle - 1) - x.speed]
+
+
+def test_nothing_is_said_of_control_steps_that_are_the_checks_own():
+    """A fast law with a long delay has loops of few steps: those of a pipeline are others."""
+
+    class Fast:
+        states, inputs, box = ("y",), ("u",), {"y": (0.0, 20.0)}
+        f = lambda x, u, t, p, M: [(u.u - x.y) / 0.1]
+        kappa = lambda x, t, p, M: [10 - 4 * (x.y - 10)]
+
+    lines = []
+    with progress.listener(lines.append):
+        diagnosis.check(npred.plant(Fast), 1.0)
+    assert not [line for line in lines if "dt" in line]
 
 
 class Line:

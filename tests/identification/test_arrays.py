@@ -1,5 +1,6 @@
 """Arrays by name, of .mat and JSON files: vectors, matrices, structures, records, and several runs in one file."""
 
+import gzip
 import json
 
 import h5py
@@ -107,6 +108,53 @@ def test_json_as_arrays_or_records(text, value):
     path = text(value)
     y = next(name for name in recordings.opened(path).columns() if name.endswith("at.y"))
     assert values(path, y) == ([0, 0.5, 1], [0, 0, 2], [1, 2, 3])
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "log.json", "log.jsonl.gz"])
+def test_json_in_lines(text, name):
+    lines = "\n".join(map(json.dumps, RECORDS)) + "\n"
+    path = text("", name)
+    path.write_bytes(gzip.compress(lines.encode()) if name.endswith("gz") else lines.encode())
+    assert values(path, "at.y") == ([0, 0.5, 1], [0, 0, 2], [1, 2, 3])
+
+
+def test_records_with_a_time_may_hold_vectors(text):
+    path = text([{"t": 0.5 * k, "action": [k, 2 * k], "state": {"q": [k, k, k]}} for k in range(3)])
+    assert recordings.opened(path).columns() == [
+        "t",
+        "action[0]",
+        "action[1]",
+        "state.q[0]",
+        "state.q[1]",
+        "state.q[2]",
+    ]
+    assert values(path, "action[1]") == ([0, 0.5, 1], [0, 2, 4], [1, 2, 3])
+
+
+def test_groups_of_hdf5_are_structures(tmp_path):
+    path = tmp_path / "log.hdf5"
+    with h5py.File(path, "w") as file:
+        file["action"], file["observations/qpos"] = np.arange(8).reshape(4, 2), np.arange(12.0).reshape(4, 3)
+        file["log/table"] = np.array(list(zip(T, U, strict=True)), dtype=[("t", "f8"), ("u", "f8")])
+        file["note"] = "a robot"
+    assert values(path, "observations.qpos[2]", period=0.5)[:2] == (T.tolist(), [2, 5, 8, 11])
+    assert values(path, "log.table.u") == (T.tolist(), U.tolist(), [1, 2, 3, 4])
+
+
+def test_numbered_groups_of_hdf5_are_runs(tmp_path):
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        for k in range(3):
+            file[f"data/demo_{k}/actions"], file[f"data/demo_{k}/obs/q"] = np.full((4, 2), k), np.full((4, 2), -k)
+    assert values(path, "obs.q[1]", period=0.5)[:2] == ([0, 0.5, 1, 1.5] * 3, [0] * 4 + [-1] * 4 + [-2] * 4)
+
+
+def test_arrays_of_numpy(tmp_path):
+    np.savez(tmp_path / "log.npz", t=T, y=np.stack([Y, U], axis=1))
+    assert values(tmp_path / "log.npz", "y[1]") == (T.tolist(), U.tolist(), [1, 2, 3, 4])
+    np.savez(tmp_path / "log.npz", t=np.array([{}], dtype=object))
+    with pytest.raises(ConfigError, match=r"expected an .npz file, got: Object arrays"):
+        recordings.opened(tmp_path / "log.npz")
 
 
 def test_json_as_rows(text):

@@ -1,14 +1,18 @@
 """The cost of a fit with what is known beforehand, the size of the noise, and which of two fits the data prefer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import npred
+from npred.identification.estimate import correlation_time
 from npred.identification.fit import Prior, Problem, SegmentFit, better
 from npred.identification.log import Log, Segments
 from npred.identification.model import RolloutModel
 
 SEGMENTS = 30
+ALONE = np.zeros((0, 0)), np.zeros((0, 0)), 0.0, 0.0  # no jumps, as of segments that are not joined
 
 
 def fit(costs) -> SegmentFit:
@@ -16,7 +20,7 @@ def fit(costs) -> SegmentFit:
     nothing = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
     e, shape = np.array(costs, dtype=float), (len(costs), 0)
     return SegmentFit(np.zeros(1), np.zeros((len(e), 1)), np.zeros(0), e, np.zeros(shape), np.zeros((*shape, 0)),
-                      nothing, np.zeros((len(e), 9, 1)))  # fmt: skip
+                      nothing, np.zeros((len(e), 9, 1)), *ALONE)  # fmt: skip
 
 
 def gains(*values: float, others: float = 0.0) -> np.ndarray:
@@ -51,7 +55,7 @@ def parabolas(rng: np.random.Generator, q: int = 2) -> SegmentFit:
     prior = Prior(np.array([0.3, 0.0]), np.array([0.1, np.inf]), np.array([[-9.0, -9.0], [9.0, 9.0]]))
     g, H = rng.standard_normal((SEGMENTS, q)), roots @ roots.swapaxes(1, 2) + np.eye(q)
     return SegmentFit(np.zeros(1), np.zeros((SEGMENTS, 1)), np.array([0.1, 0.2]), rng.uniform(20, 30, SEGMENTS), g, H,
-                      prior, np.zeros((SEGMENTS, 9, 1)))  # fmt: skip
+                      prior, np.zeros((SEGMENTS, 9, 1)), *ALONE)  # fmt: skip
 
 
 def test_the_cost_is_the_least_of_the_weighted_segments_and_of_what_was_known():
@@ -70,7 +74,7 @@ def test_the_cost_is_the_least_of_the_weighted_segments_and_of_what_was_known():
     for step in 1e-3 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]]):
         assert cost(theta + step) > cost(theta)
     tight = Prior(of.prior.mean, of.prior.deviation, np.array([[0.5, -9.0], [9.0, 9.0]]))
-    limited = SegmentFit(of.delays, of.X, of.theta, of.e, of.g, of.H, tight, of.residuals)
+    limited = replace(of, prior=tight)
     assert theta[0] < 0.5 and limited.thetas(weights)[0, 0] == 0.5
 
 
@@ -109,3 +113,86 @@ def test_a_fit_does_not_depend_on_the_unit_of_a_state_that_is_not_measured(unit)
     found = problem.fit(np.zeros(1))
     assert found.cost / found.count == pytest.approx(1.0, abs=0.15)
     np.testing.assert_allclose(found.X[:, 1] / unit, 0.7, atol=0.08)
+
+
+class Walls:
+    """A room, which is measured, and its walls, which are not."""
+
+    states, inputs = ("X", "Y"), ("U",)
+    parameters = {"a": 0.8, "b": 0.3}
+    f = lambda x, u, t, p, M: [x.Y - p.a * x.X, u.U - p.b * x.Y]
+    kappa = lambda x, t, p, M: [-x.X]
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.1, 10.0])
+@pytest.mark.parametrize("gap", [False, True])
+def test_joined_segments_are_one_least_squares_problem(size, gap):
+    """All samples and jumps in one matrix: its cost, step and curvature, and the size of its states' information."""
+    rng, t = np.random.default_rng(4), 0.1 * np.arange(90)
+    Y = np.stack([np.sin(t) + 0.1 * rng.standard_normal(90), np.full(90, np.nan)], axis=1)
+    log = Log.of(np.where(gap & (t > 4.4), t + 3.0, t), rng.standard_normal((90, 1)), Y)
+    prior = Prior(np.array([0.8, 0.3]), np.full(2, np.inf), np.array([[-9.0, -9.0], [9.0, 9.0]]))
+    model = RolloutModel(npred.plants.make("walls", Walls), (0, 1), steps=2)
+    problem = Problem(model, Segments.of(log, 9, 1.0), np.array([0.1, 1.0]), prior, size * np.array([1.0, 2.0]))
+    fit, seg = problem.fit(np.array([0.23]), None, 0), problem.segments
+    assert seg.follows.sum() == (8 if gap else 9)
+    x, J = model.run(fit.X, fit.theta, seg.pieces(fit.delays))
+    rows, right, S = [], [], len(seg)
+    for s, k in zip(*np.nonzero(np.isfinite(seg.Y[..., 0])), strict=True):
+        rows.append(np.zeros(2 * S + 2))
+        rows[-1][[2 * s, 2 * s + 1, -2, -1]] = J[s, k, 0] / 0.1
+        right.append((seg.Y[s, k, 0] - x[s, k, 0]) / 0.1)
+    for s in np.flatnonzero(seg.follows):
+        for i in range(2):
+            rows.append(np.zeros(2 * S + 2))
+            rows[-1][[2 * s - 2, 2 * s - 1, -2, -1]] = -J[s - 1, -1, i] / problem.jump[i]
+            rows[-1][2 * s + i] = 1 / problem.jump[i]
+            right.append((x[s - 1, -1, i] - fit.X[s, i]) / problem.jump[i])
+    A, b = np.array(rows), np.array(right)
+    best = np.linalg.lstsq(A, b, rcond=None)[0]
+    N, states = A.T @ A, slice(2 * S)
+    H = N[-2:, -2:] - N[-2:, states] @ np.linalg.solve(N[states, states], N[states, -2:])
+    information = np.linalg.slogdet(N[states, states])[1] + 2 * seg.follows.sum() * np.log(problem.jump).sum()
+    np.testing.assert_allclose(fit.best_theta - fit.theta, best[-2:], rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(fit.H.sum(axis=0), H, rtol=1e-6)
+    assert fit.cost == pytest.approx(((A @ best - b) ** 2).sum(), rel=1e-6) and fit.actual == pytest.approx(b @ b)
+    assert fit.size == pytest.approx(information, rel=1e-6)
+    assert np.linalg.eigvalsh(fit.H).min() > -1e-9 * H.max()  # what each segment adds
+
+
+def test_what_happens_between_segments_is_estimated():
+    """Of a state that jumps at random by 0.3, and of one that does not."""
+    rng, t, found = np.random.default_rng(1), 0.1 * np.arange(600), []
+    for jump in (0.3, 0.0):
+        walk = np.repeat(jump * rng.standard_normal(60).cumsum(), 10)
+        Y = np.exp(-t / 20)[:, None] * 5 + walk[:, None] + 0.05 * rng.standard_normal((600, 1))
+        log, decay = Log.of(t, np.zeros((600, 1)), Y).held(), npred.plants.make("decay", Slow)
+        prior = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+        problem = Problem(RolloutModel(decay, ()), Segments.of(log, 10, 1.0), np.full(1, 0.05), prior, np.ones(1))
+        found.append(problem.joined(problem.fit(np.zeros(1))).jump[0])
+    assert 0.1 < found[0] < 0.9 and found[1] < 0.02
+
+
+class Slow:
+    """X' = (U - X) / 20."""
+
+    states, inputs = ("X",), ("U",)
+    f = lambda x, u, t, p, M: [(u.U - x.X) / 20]
+    kappa = lambda x, t, p, M: [-x.X]
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_a_slow_disturbance_is_seen_in_what_joined_segments_tell_anew(drifts):
+    """Of white noise and jumps the surprises are white, of size one."""
+    rng, t = np.random.default_rng(3), 0.1 * np.arange(1200)
+    inputs = np.where(drifts & (np.sin(t / 8) > 0), 1.0, 0.0) / 20
+    X = np.zeros(1200)
+    for k in range(1199):
+        X[k + 1] = X[k] + 0.1 * (inputs[k] - X[k] / 20) + 0.1 * (k % 10 == 9) * rng.standard_normal()
+    log = Log.of(t, np.zeros((1200, 1)), (X + 0.03 * rng.standard_normal(1200))[:, None]).held()
+    prior = Prior(np.zeros(0), np.zeros(0), np.zeros((2, 0)))
+    model = RolloutModel(npred.plants.make("slow", Slow), ())
+    problem = Problem(model, Segments.of(log, 10, 1.0), np.full(1, 0.03), prior, np.full(1, 0.1))
+    z = problem.surprises(problem.fit(np.zeros(1)))
+    assert np.isnan(z[0]) and (correlation_time(z[None]) > 2) == drifts
+    assert drifts or np.nanstd(z) == pytest.approx(1.0, abs=0.15)

@@ -64,6 +64,18 @@ def test_a_delay_and_a_parameter_are_found_and_said():
     assert "\nU arrives 0.33" in str(found) and "\na = -0.59" in str(found)
 
 
+@pytest.mark.parametrize(("first", "count"), [(150, 1), (212, 2), (301, 3)])
+def test_a_glitch_is_named_by_its_rows_and_no_others(first, count):
+    """The initial state of its segment follows it, so that the good rows beside it are missed, too."""
+    t, U, X = decayed(0.337)
+    rows = np.flatnonzero(np.isfinite(X[:, 0]))[first : first + count]
+    X[rows] += 0.5
+    answer = npred.identify(decay(), t, U, X, free=["a"], longest=1.5)
+    named = ", ".join(map(str, rows))
+    assert f" at row{'s' * (count > 1)} {named}; " in str(answer)
+    assert answer.identifiable.all() and abs(answer.D[0] - 0.337) < 0.2 * PERIOD
+
+
 def test_rows_in_any_order_and_twice_tell_the_same():
     t, U, X = decayed(0.337)
     one = npred.identify(decay(), t, U, X, longest=1.5)
@@ -118,13 +130,45 @@ def test_a_delay_that_jumps_is_seen_over_windows():
     early, late = decayed(0.2, 0.005, 4, 700), decayed(0.6, 0.005, 4, 700)
     t, U, X = early
     X = np.where((t < 17.5)[:, None], X, late[2])  # the same samples: only the delay is another
-    found = npred.identify(decay(), t, U, X, longest=1.2, time_varying=True)
-    windows = found.windows
-    assert windows is not None and "windows of time the delay of U is" in str(found)
+    found = npred.identify(decay(), t, U, X, longest=1.2)
+    windows, (low, high) = found.windows, found.interval[0]
+    assert windows is not None and "windows of the log have different ones" in str(found)
+    assert not found.identifiable[0] and low <= 0.2 and high >= 0.6 and abs(found.D[0] - 0.6) < PERIOD
     assert (
         np.abs(windows.D[windows.t < 16] - 0.2).max() < PERIOD
         and np.abs(windows.D[windows.t > 20] - 0.6).max() < PERIOD
     )
+
+
+def test_windows_are_said_where_they_are_asked_for():
+    found = npred.identify(decay(), *decayed(0.337), longest=1.5, time_varying=True)
+    assert "windows of time the delay of U is" in str(found) and "a constant delay fits all of them" in str(found)
+    assert found.identifiable.all() and found.windows is not None
+
+
+def test_commands_between_the_rows_may_be_half_a_row_older():
+    """Ten commands in a row of the log, which has the first one of each."""
+    step, rng = PERIOD / 10, np.random.default_rng(3)
+    t, rates, phases = np.arange(5000) * step, rng.uniform(0.5, 9, 12), rng.uniform(0, 7, 12)
+    u, X, late = np.sin(np.multiply.outer(t, rates) + phases).sum(axis=1) / 3, np.zeros(5000), round(0.3 / step)
+    for k in range(4999):
+        held = u[max(k - late, 0)]
+        X[k + 1] = 2 * held + (X[k] - 2 * held) * np.exp(-0.5 * step)
+    table = t[::10], u[::10], X[::10] + 0.02 * rng.standard_normal(500)
+    found = npred.identify(decay(), *table, longest=1.0)
+    assert found.identifiable.all() and found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
+    assert "in straight lines" in str(found)
+    exact = npred.identify(decay(), *table, longest=1.0, hold="linear")
+    assert abs(exact.D[0] - 0.3) < 0.1 * PERIOD and np.ptp(exact.interval) < np.ptp(found.interval)
+
+
+@pytest.mark.parametrize(("seed", "count"), [(5, 500), (6, 800)])
+def test_a_mode_that_the_plant_lacks_is_no_certain_delay(seed, count):
+    f = lambda x, u: np.array([x[1], 9.0 * (2 * u[0] - x[0]) - 2.4 * x[1]])
+    table = recording(f, [0.0, 0.0], steps(count, 1, 20, seed), [0.3], PERIOD, 0.01, seed, outputs=1)
+    found = npred.identify(decay(), *table, longest=1.5, free=["a", "b"])
+    assert not found.identifiable.any() and "of them follow the commands" in str(found), found
+    assert found.interval[0, 0] <= 0.3 <= found.interval[0, 1]
 
 
 def still(seed: int):
@@ -356,6 +400,46 @@ def test_several_logs_are_one_problem(tmp_path: Path):
     both, one = (npred.identify(decay(), p, longest=1.0) for p in (paths, paths[0]))
     assert both.identifiable.all() and both.interval[0, 0] <= 0.337 <= both.interval[0, 1]
     assert np.ptp(both.interval) < np.ptp(one.interval)
+
+
+class SlowHeater:
+    """A heater's block, which is not measured, and its sensor; an error of y0 is one of both."""
+
+    states, inputs = ("y", "b"), ("u",)
+    parameters = {"K": 0.9, "tau": 100.0, "tau2": 15.0, "y0": 18.0}
+    box, guess = {"y": (20.0, 60.0), "b": (20.0, 60.0)}, (40.0, 40.0)
+    f = lambda x, u, t, p, M: [(x.b - x.y) / p.tau2, (p.K * u.u + p.y0 - x.b) / p.tau]
+    kappa = lambda x, t, p, M: [(40.0 - p.y0) / p.K]
+
+
+def test_a_slow_plant_keeps_what_its_whole_log_knows():
+    """A time constant of a third of the log and two edges in a row of it; whatever the longest delay is."""
+    f = lambda x, u: np.array([(x[1] - x[0]) / 17, (0.6 * u[0] + 21 - x[1]) / 142])
+    commands = np.repeat([10.0, 80.0, 30.0, 60.0, 0.0, 100.0], [70, 60, 80, 60, 70, 80])[:, None]
+    t, U, X = recording(f, [30.0, 32.0], commands, [8.0], 1.0, 0.005, 5, outputs=1)
+    X, truth = np.append(X, np.nan * X, axis=1), {"K": 0.6, "tau": 142.0, "tau2": 17.0, "y0": 21.0}
+    plant = npred.plants.make("heater", SlowHeater)
+    found = [npred.identify(plant, t, U, X, free=list(truth), longest=longest) for longest in (20.0, 45.0)]
+    for each in found:
+        assert each.identifiable.all() and abs(each.D[0] - 8) < 1, each
+        for name, value in truth.items():
+            low, high = each.parameter_intervals[name]
+            assert low - 0.01 * value < value < high + 0.01 * value and high - low < 0.2 * value, each
+    one, other = (np.array([*each.interval, *each.parameter_intervals.values()]) for each in found)
+    assert (np.maximum(one[:, 0], other[:, 0]) <= np.minimum(one[:, 1], other[:, 1])).all()
+
+
+@pytest.mark.parametrize("row_before", [False, True])
+def test_a_step_in_the_first_row_needs_a_row_before_it(tmp_path: Path, row_before):
+    t, rng = PERIOD * np.arange(60), np.random.default_rng(0)
+    for k, u in enumerate([1.0, -0.5, 2.0]):
+        X = 2 * u * (1 - np.exp(-0.5 * np.maximum(t - 0.337, 0))) + 0.01 * rng.standard_normal(60)
+        rows = np.stack([t, np.where(row_before & (t == 0), 0.0, u), np.append(0.0, X[:-1])], axis=1)
+        np.savetxt(tmp_path / f"{k}.csv", rows, delimiter=",", header="t,U,X", comments="")
+    found = npred.identify(decay(), sorted(tmp_path.iterdir()), free=["a"], longest=1.0)
+    assert ("put a row with the command before it in front" in str(found)) is not row_before
+    assert found.identifiable.all() is np.bool_(row_before)
+    assert not row_before or abs(found.D[0] - 0.337) < PERIOD, found
 
 
 def test_a_column_is_scaled_and_then_shifted(tmp_path: Path):

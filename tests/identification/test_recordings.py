@@ -11,7 +11,7 @@ from conftest import process_environment
 from npred.base import registry
 from npred.base.errors import ConfigError
 from npred.identification import recordings
-from npred.identification.recordings.arrays import Json, Mat
+from npred.identification.recordings.arrays import Hdf5, Json, Mat
 from npred.identification.recordings.text import Text
 
 
@@ -48,6 +48,23 @@ def test_what_cannot_be_read_is_one_line(table, name, names, words):
     assert words in str(refusal.value) and "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("log.csv.zip", "expected a table of text, got bytes of another kind; unpack it, and name the file in it"),
+        ("log.pkl", "it may run code when it is read; save it as Parquet or CSV"),
+        ("log.mf4", "export its signals as .mat or CSV"),
+        ("log.tdms", "export its channels as CSV"),
+        ("folder", "expected a folder with metadata.yaml, as a bag of ROS 2, or with .parquet files"),
+    ],
+)
+def test_what_is_not_read_is_named_with_the_next_step(tmp_path, name, words):
+    path = tmp_path / name
+    path.mkdir() if "." not in name else path.write_bytes(b"PK\x03\x04 or another head")
+    with pytest.raises(ConfigError, match=words):
+        recordings.opened(path)
+
+
 def test_numbers_without_a_time_are_not_called_empty(tmp_path):
     (tmp_path / "log.csv").write_text("t,level\n,1\n,2\n")
     with pytest.raises(ConfigError, match="expected numbers in level, got numbers without a time"):
@@ -66,12 +83,14 @@ def test_suffixes_are_found_in_capitals(table):
 
 def test_the_formats_of_tables():
     classes = {name: registry.RECORDINGS.load("recording", name) for name in registry.RECORDINGS.names()}
-    assert {name for name, kind in classes.items() if kind is Text} == {"csv", "txt", "tsv", "dat", "asc", "log", "lvm"}
-    assert classes["mat"] is Mat and classes["json"] is Json
+    assert {name for name, kind in classes.items() if kind is Text} == {
+        "csv", "txt", "tsv", "dat", "asc", "log", "lvm", "trace",
+    }  # fmt: skip
+    assert classes["mat"] is Mat and classes["json"] is classes["jsonl"] is Json and classes["h5"] is Hdf5
 
 
 def test_without_the_package_of_a_format_it_is_asked_for(table):
-    suffixes = dict.fromkeys(("csv", "json", "mat"), "identify")
+    suffixes = dict.fromkeys(("csv", "json", "mat", "parquet", "xlsx", "npz", "h5"), "identify")
     suffixes |= {"mcap": "mcap", "bag": "rosbag", "db3": "rosbag", "ulg": "ulog"}  # and the extra of each
     program = (
         "import without_extras, pathlib\nfrom npred.base import errors\nfrom npred.identification import recordings\n"

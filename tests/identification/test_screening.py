@@ -1,7 +1,11 @@
 """The faults of a recording that are named before it is used: its clock, single bad samples, sensors that stick."""
 
+import warnings
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from npred.identification import screening
 from npred.identification.log import Log
@@ -71,8 +75,44 @@ def test_a_sensor_that_sticks_is_named_and_one_that_rests_is_not():
     assert screening.screened(log(rest), ["T"])[1] == []
 
 
+@pytest.mark.parametrize("glitch", [0, 1, 17, 199])
+def test_a_bad_sample_at_an_end_of_the_log_is_found_too(glitch):
+    y = noisy(200)
+    y[glitch] = -127.0
+    assert screening.screened(log(y), ["T"])[1] == [f"T has a bad sample at row {glitch + 2} (-127); it is left out."]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(0, 38), st.integers(0, 15), st.booleans())
+def test_of_a_fit_that_follows_a_glitch_the_glitch_is_left_out(seed, count, segment, step, after):
+    """A glitch at the begin of a segment is its initial state; then the good samples behind it are missed."""
+    rng = np.random.default_rng(seed)
+    y = np.where(np.arange(1000) >= 25 * segment + (step if after else 0), 7.0, 0.0) + 0.05 * rng.standard_normal(1000)
+    Y = y.reshape(40, 25, 1)
+    r = np.clip(rng.standard_normal(Y.shape), -3, 3)
+    Y[segment, :count] += 30.0
+    r[segment, count : 2 * count] = -20.0  # what is missed
+    assert np.argwhere(screening.outside(r, Y)).tolist() == [[segment, k, 0] for k in range(count)]
+
+
+def test_an_output_without_samples_is_no_reason_to_warn():
+    Y = np.stack([noisy(), np.full(400, np.nan)], axis=-1).reshape(20, 20, 2)
+    r = np.where(np.isfinite(Y), 0.1, np.nan)
+    r[3, 5, 0], Y[3, 5, 0] = 50.0, 90.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.argwhere(screening.outside(r, Y)).tolist() == [[3, 5, 0]]
+
+
 @pytest.mark.parametrize(("count", "expected"), [(1, 1), (4, 4), (60, 0)])
 def test_residuals_far_outside_are_bad_samples_where_they_are_rare(count, expected):
     r = np.random.default_rng(2).standard_normal((40, 25, 1))
     r.reshape(-1)[:: 1000 // count][:count] = 30.0
-    assert screening.outside(r, 0 * r).sum() == expected
+    assert screening.outside(r, r).sum() == expected
+
+
+def test_where_a_model_is_wrong_samples_are_not_bad():
+    """A step that comes late for the model has large residuals, and y does not come back."""
+    Y = np.where(np.arange(1000) > 512, 9.0, 0.0).reshape(40, 25, 1)
+    r = 0.1 * np.random.default_rng(3).standard_normal(Y.shape)
+    r[20, 10:14] = 9.0
+    assert not screening.outside(r, Y).any()

@@ -1,7 +1,10 @@
 """Tables of text as loggers write them: separators, headers, units, gaps, stamps; what is left out is said."""
 
+import bz2
 import csv
+import gzip
 import io
+import lzma
 import math
 import re
 
@@ -286,6 +289,51 @@ def test_decimal_commas(write):
     path = write("t;q\n0;2,5\n1;-1.234,5e1\n2;3\n")
     assert values(path, "q") == ([0, 1, 2], [2.5, -12345, 3])
     assert len(notes(path, "q")) == 1
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [("gz", gzip.compress), ("bz2", bz2.compress), ("xz", lzma.compress)])
+def test_a_packed_table(tmp_path, suffix, pack):
+    path = tmp_path / f"log.csv.{suffix}"
+    path.write_bytes(pack(b"t,q\n0,1.5\n0.5,2\n"))
+    assert values(path, "q") == ([0, 0.5], [1.5, 2])
+    path.write_bytes(pack(b"t,q\n0,1.5\n0.5,2\n")[:-12])
+    with pytest.raises(ConfigError, match=r"expected a table of text, got: .*; check the file"):
+        values(path, "q")
+
+
+def test_stamps_with_blanks_beside_words(write):
+    path = write("Time,u [V],mode\n" + "".join(f"2024-01-01 00:00:0{k}.500,{k},auto\n" for k in range(9)))
+    assert values(path, "u") == ([*range(9)], [*range(9)])
+
+
+LONG = [
+    ("timestamp,topic,value\n", "{t},{name},{value}\n"),
+    ("entity_id,state,last_changed\n", "{name},{value},2024-01-01T00:00:{t:02d}.000Z\n"),
+    ("#datatype,string,long,dateTime:RFC3339,double,string\n#default,_result,,,,\n,result,table,_time,_value,_field\n",
+     ",,0,2024-01-01T00:00:{t:02d}Z,{value},{name}\n"),
+    ('"VarName";"TimeString";"VarValue";"Validity";"Time_ms"\n',
+     '"{name}";"14.05.2020 10:15:{t:02d}";{comma};1;{days}\n'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("head", "row"), LONG, ids=["MQTT", "Home Assistant", "Influx", "WinCC"])
+def test_a_long_table_has_a_series_for_each_topic(write, head, row):
+    """All by one clock; WinCC's Time_ms is in millionths of a day."""
+    cells = [{"t": 2 * k + j, "name": name, "value": k + 0.5 * j, "comma": f"{k + 0.5 * j:.1f}".replace(".", ","),
+              "days": f"{43965427442 + (2 * k + j) / 0.0864:.6f}".replace(".", ",")}
+             for k in range(20) for j, name in enumerate(("valve", "room/T"))]  # fmt: skip
+    path = write(head + "".join(row.format(**cell) for cell in cells))
+    read = recordings.read(path, ["room/T", "valve"])
+    begin = read.series["valve"].t[0]
+    np.testing.assert_allclose(read.series["valve"].t - begin, 2 * np.arange(20), atol=1e-5)
+    np.testing.assert_allclose(read.series["room/T"].t - begin, 1 + 2 * np.arange(20), atol=1e-5)
+    assert read.series["room/T"].values.tolist() == [k + 0.5 for k in range(20)]
+    assert recordings.opened(path).columns()[:2] == ["valve", "room/T"]
+
+
+def test_a_table_with_columns_of_such_names_has_them_too(write):
+    path = write("t,name,value\n" + "".join(f"{k},{'ab'[k % 2]},{k}\n" for k in range(9)))
+    assert values(path, "value") == ([*range(9)], [*range(9)])
 
 
 def test_switches_are_numbers(write):

@@ -2,13 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from recorded import looped, steps
 from test_identify import decay
 
 import npred
-from npred.identification.alternatives import Alternative, Validation
+from npred.identification.alternatives import Alternative, Lines, Validation
 from npred.identification.estimate import Combination, Parameter
 from npred.identification.identified import Findings
+from npred.identification.objections import settled
+from npred.identification.windows import Windows
 
 CASES = {  # the plant, its true delay, the sampling period, the size of the test signal, the start, the loop's length
     "scalar": (0.4, 0.05, 0.5, [0.8], 15.0),
@@ -59,14 +63,24 @@ def test_the_identified_controller_stabilises_the_true_plant(name: str):
 HIGH = 1.5
 
 
+def windows(*D: float, half: float = 0.05) -> Windows:
+    """Windows with these delays of one input, each known up to `half`."""
+    middle = np.array(D)[:, None]
+    return Windows(
+        np.arange(len(D)) + 0.5, middle, middle[..., None] + half * np.array([-1.0, 1.0]), 0.05, np.full(1, HIGH)
+    )
+
+
 def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findings:
     """Findings of a delay of 0.3 s, of which delays up to 1.5 s were tried."""
     found = {
         "plant": decay(), "D": np.array([0.3]), "early": np.zeros(1), "interval": np.array([interval]),
-        "high": np.full(1, HIGH), "period": 0.05, "alternatives": [Alternative(0.2, as_good, False, 0.0, behind)],
+        "high": np.full(1, HIGH), "period": 0.05,
+        "alternatives": [Alternative(0.2, as_good, False, 0.0, behind, None)], "lines": None, "late": np.zeros(1),
+        "windows": windows(0.3, 0.3), "varies": np.zeros(1, dtype=bool), "share": 0.0, "following": 0.0,
         "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
         "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
-        "combination": None, "inflation": 1.0, "accurate": True, "several": False, "closed": 0.0,
+        "combination": None, "inflation": 1.0, "drift": 0.0, "accurate": True, "several": False, "closed": 0.0,
         "validation": Validation({}, None),
     }  # fmt: skip
     return Findings(**found | changes)
@@ -91,6 +105,11 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         ({"interval": (0.9, HIGH)}, False),  # perhaps longer
         ({"as_good": True}, False),
         ({"still": np.ones(1, dtype=bool)}, False),
+        ({"varies": np.ones(1, dtype=bool)}, False),
+        ({"inflation": 2.1, "following": 0.29}, True),
+        ({"inflation": 2.1, "following": 0.31}, False),
+        ({"inflation": 5.1, "share": 0.29}, True),
+        ({"inflation": 5.1, "share": 0.31}, False),
         ({"assumed": {"a": -3.9}}, True),
         ({"assumed": {"a": -4.1}}, False),
     ],
@@ -110,10 +129,22 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
         ({"early": np.full(1, -0.02)}, "0.02 s before its command. Either it is logged late, or"),
         ({"recurring": np.full(1, 1.0)}, "U repeats itself after 1 s"),
         ({"several": True}, "several delays of 0.25 s to 0.35 s fit about equally well"),
+        ({"varies": np.ones(1, dtype=bool)}, "windows of the log have different ones, in their order 0.3 s, 0.3 s."),
+        ({"inflation": 2.1, "following": 0.6}, "60% of them follow the commands. Add the states or the mode"),
+        (
+            {"inflation": 5.1, "share": 0.5},
+            "the model is poor: its errors keep their sign for 5.1 samples, and are 50%",
+        ),
+        ({"lagged": np.ones(1, dtype=bool), "behind": (0.1, 0.2)}, "Add a state for the lag to the plant."),
+        ({"late": np.full(1, 0.1)}, "a command may be older than its row, in the mean by up to 0.1 s."),
+        (
+            {"lines": Lines(np.full(1, 0.33), np.array([[0.3, 0.36]]), True, False)},
+            "Commands in straight lines fit as well, with a delay of 0.33 s",
+        ),
         ({"accurate": False}, "There is no answer: the model is too fast for the samples"),
         (
             {"validation": Validation({"model": 1.0, "static": 0.5}, "static")},
-            "The error of predictions is 0.5 by constant gains alone, and 1 by the model.",
+            "The error of predictions (unit of X) is 0.5 by constant gains alone, and 1 by the model.",
         ),
         (
             {"combination": Combination(["k", "c"], [1.0, -2.0], 3.0, 0.01)},
@@ -130,8 +161,70 @@ def test_a_delay_is_known_where_nothing_else_explains_the_log(changes, known):
             {"parameters": {"a": Parameter(1.0, 0.9, 1.1, -0.96)}},
             "hardly tells a from the delay: their errors correlate with -0.96",
         ),
-        ({"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}}, "a is not identifiable"),
+        (
+            {"parameters": {"a": Parameter(1.0, -5.0, 5.1, 0.0)}},
+            "a is not identifiable: the log fits any value from -5",
+        ),
+        ({"parameters": {"a": Parameter(1e-9, 1e-9, 5.1, 0.0)}}, "the log fits any value below 5.1"),
+        ({"parameters": {"a": Parameter(3.0, 0.7, 1e9, 0.0)}}, "the log fits any value above 0.7"),
+        ({"parameters": {"a": Parameter(3.0, 1e-9, np.inf, 0.0)}}, "the log fits almost any value of it"),
+        (
+            {"validation": Validation({"model": 1.0}, None, 75, 0, {"model": np.array([0.3])}, {})},
+            "quarter of the log, 75 samples, which was held back:\n"
+            "  model      delay  error (unit of X)\n  the model  0.3 s  1",
+        ),
+        (
+            {
+                "validation": Validation(
+                    {"lag_and_delay": 1.0}, None, 75, None, {"lag_and_delay": [0.3]}, {"lag_and_delay": [0.1]}
+                )
+            },
+            "  model                              delay             error (standard deviations of the outputs)\n"
+            "  with a lag behind a shorter delay  0.3 s, lag 0.1 s  1",
+        ),
     ],
 )
 def test_what_is_odd_is_said_and_only_then(changes, words):
     assert words in "\n".join(said(**changes).sentences) and words not in "\n".join(said().sentences)
+
+
+@given(
+    low=st.floats(0.1, 0.6), rival=st.floats(0.1, 0.6), line=st.floats(0.1, 0.6), late=st.floats(0.0, 0.2),
+    D=st.lists(st.floats(0.1, 0.6), min_size=2, max_size=6),
+)  # fmt: skip
+def test_an_interval_holds_all_that_was_seen_and_an_answer_that_is_contradicted_is_not_certain(
+    low, rival, line, late, D
+):
+    ends = lambda value: (value, value + 0.05)
+    over_time = windows(*D, half=0.01)
+    findings = settled(
+        said(
+            ends(low), windows=over_time, late=np.full(1, late),
+            alternatives=[Alternative(0.2, False, False, 1.0, (rival, 0.1), ends(rival))],
+            lines=Lines(np.array([line]), np.array([ends(line)]), True, False),
+        )
+    )  # fmt: skip
+    begin, end = findings.interval[0]
+    assert begin <= min(low, rival, line) and end >= max(low, rival, line) + 0.05 + late - 1e-12
+    if rival + 0.05 < low:
+        assert not findings.identifiable[0]
+    if findings.varies[0]:
+        assert begin <= min(D) - 0.01 + 1e-12 and max(D) + 0.01 - 1e-12 <= end and findings.D[0] >= D[-1]
+        assert not findings.identifiable[0]
+    if not late:
+        assert findings.varies[0] == over_time.vary(0, np.array(ends(low)))
+
+
+@pytest.mark.parametrize(
+    ("D", "varies"),
+    [
+        ((0.30, 0.31, 0.29, 0.30), False),
+        ((0.20, 0.20, 0.40, 0.40), True),  # a change
+        ((0.24, 0.28, 0.32, 0.36), True),  # a clock that drifts
+    ],
+)
+def test_windows_differ_if_they_scatter_more_than_their_intervals_say(D, varies):
+    found = windows(*D, half=0.02)
+    assert found.vary(0, np.array([0.25, 0.35])) is varies
+    (low, high), last = found.seen(0)
+    assert last == D[-1] and low <= min(D) - 0.02 and high >= max(max(D) + 0.02, 2 * D[-1] - D[-2])

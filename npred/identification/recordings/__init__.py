@@ -4,6 +4,10 @@ A format is a class in a file of this folder, with a line in npred.base.registry
 A file of another suffix is read as a table of text.
 """
 
+import bz2
+import codecs
+import gzip
+import lzma
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -12,7 +16,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from npred.base.errors import ConfigError, NpredError, first_line, similar, unlisted
+from npred.base import json_files
+from npred.base.errors import ConfigError, NpredError, bytes_text, first_line, similar, unlisted
 from npred.base.registry import RECORDINGS
 
 WORDS = {
@@ -23,6 +28,19 @@ WORDS = {
 UNITS = {word: seconds for seconds, words in WORDS.items() for word in words.split()}  # of time, in s
 USUAL = ("s", "ms", "us", "µs", "ns", "min", "h", "d")  # those that a message lists
 LISTED = 12  # names in a message
+UNPACKERS = {"gz": gzip.open, "bz2": bz2.open, "xz": lzma.open}  # of text, by the last suffix
+BINARY = b"PK\x03\x04", b"\x1f\x8b", b"SQLite", b"PAR1"  # how files begin that need not have a 0
+LARGEST = 2**32  # bytes of text
+FOLDERS = {"metadata.yaml": "db3", "**/*.parquet": "parquet"}  # formats of folders by what these hold
+NEXT = {  # formats that are not read, and what to do
+    **dict.fromkeys(("zip", "7z", "rar", "tar", "tgz", "zst"), "unpack it, and name the file in it"),
+    **dict.fromkeys(("pkl", "pickle", "joblib"), "it may run code when it is read; save it as Parquet or CSV"),
+    **dict.fromkeys(("mf4", "mdf", "blf", "dbc"), "export its signals as .mat or CSV, by asammdf for example"),
+    **dict.fromkeys(("tdms",), "export its channels as CSV, by nptdms for example"),
+    **dict.fromkeys(("feather", "arrow", "orc"), "save it as Parquet"),
+    **dict.fromkeys(("sqlite", "db"), "export the table as CSV"),
+    **dict.fromkeys(("mp4", "avi", "mkv", "mov"), "name the file with the numbers"),
+}
 
 
 class TimeSeries(NamedTuple):
@@ -116,11 +134,39 @@ def read(
 
 
 def opened(path: Path) -> Recording:
-    """The recording in a file, by its suffix; a folder is a ROS 2 bag. Raises ConfigError and MissingError."""
+    """The recording in a file, by its suffix, or in a folder, by what it holds. Raises ConfigError and MissingError."""
     if not path.exists():
         raise ConfigError(f"{path}: expected a recording, found no file; check the path")
-    form = "db3" if path.is_dir() else path.suffix[1:].lower()
+    if path.is_dir():
+        form = next((form for pattern, form in FOLDERS.items() if any(path.glob(pattern))), "")
+        if not form:
+            expected = "a folder with metadata.yaml, as a bag of ROS 2, or with .parquet files, as a data set"
+            raise ConfigError(f"{path}: expected {expected}, got another; name a file in it")
+    else:
+        suffixes = [suffix[1:].lower() for suffix in path.suffixes]
+        form = next((suffix for suffix in reversed(suffixes) if suffix not in UNPACKERS), "csv")
     return RECORDINGS.load("recording", form if form in RECORDINGS.names() else "csv")(path)
+
+
+def text_of(path: Path, what: str) -> str:
+    """The text of a file in UTF-8, UTF-16 with its mark, or Latin-1, without what fills a file that was cut.
+
+    It is unpacked by its last suffix. Raises ConfigError for bytes that are no text.
+    """
+    form = path.suffix[1:].lower()
+    with decoding(path, what), UNPACKERS.get(form, open)(json_files.regular(path), "rb") as file:
+        content = file.read(LARGEST + 1)
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        read = content.decode("utf-16" if wide else "utf-8-sig").rstrip("\0")
+    except UnicodeDecodeError:
+        read = content.decode("latin-1").rstrip("\0")
+    if len(content) > LARGEST:
+        raise ConfigError(f"{path}: expected at most {bytes_text(LARGEST)} of text, got more; save a part of it")
+    if "\0" in read or content.startswith(BINARY):
+        got = "bytes of another kind"
+        raise ConfigError(f"{path}: expected {what}, got {got}; {NEXT.get(form, 'save it as CSV')}")
+    return read
 
 
 def unknown(path: Path, name: str, names: Iterable[str]) -> ConfigError:

@@ -1,11 +1,12 @@
-"""Arrays by name: .mat files of MATLAB, and JSON as records, as arrays, or as a list of runs of either.
+"""Arrays by name: .mat files of MATLAB, HDF5, .npz, and JSON as records, as arrays, or as a list of runs of either.
 
 A field of a structure is called as s.field. The columns of a matrix are counted from 0: data[0], data[1], ...; those of
 a JSON text that is a matrix from 1, as in a table without a header.
 """
 
+import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ import numpy as np
 
 from npred.base import json_files
 from npred.base.errors import ConfigError, required
+from npred.identification import recordings
 from npred.identification.recordings import decoding
-from npred.identification.recordings.table import NamedColumns, pd
+from npred.identification.recordings.table import NamedColumns, expanded, pd, time_name
 
 Run = dict[str, Any]  # vectors by name
+NUMBERED = re.compile(r"(demo|episode|traj|trajectory|run|trial|experiment)_?\d+", re.IGNORECASE)
 
 
 class Arrays(NamedColumns):
@@ -36,7 +39,7 @@ class Arrays(NamedColumns):
             columns = dict(pd.concat(frames, ignore_index=True).items())
             self.place = np.concatenate([np.arange(len(frame)) for frame in frames])
             self.notes.append(f"the file holds {len(runs)} runs; their rows are counted through.")
-        self.named(list(columns), [column.set_axis(range(1, len(column) + 1)) for column in columns.values()])
+        self.counted(columns)
 
     def load(self) -> Any:
         """The value in the file."""
@@ -55,39 +58,73 @@ class Mat(Arrays):
                 warnings.simplefilter("ignore")  # a name that a file has twice
                 value = io.loadmat(self.path, simplify_cells=True)
         except NotImplementedError:  # version 7.3 is HDF5
-            import h5py
-
-            with h5py.File(self.path) as file:
-                value = _datasets(file)
+            return hdf5(self.path, lambda data: np.asarray(data).T)  # MATLAB reverses dimensions
         return {name: item for name, item in value.items() if not name.startswith(("__", "#"))}
 
 
+class Hdf5(Arrays):
+    """An HDF5 file: groups are structures, a table has its columns. Groups as demo_0, demo_1 are runs."""
+
+    what = "an HDF5 file"
+
+    def load(self) -> Any:
+        return hdf5(self.path, np.asarray)
+
+
+class Npz(Arrays):
+    """Arrays that NumPy saved."""
+
+    what = "an .npz file"
+
+    def load(self) -> Any:
+        with np.load(json_files.regular(self.path), allow_pickle=False) as file:
+            return dict(file)
+
+
 class Json(Arrays):
-    """A JSON text."""
+    """A JSON text, or one in each line."""
 
     what = "a JSON text"
 
     def load(self) -> Any:
-        return json_files.parse(json_files.regular(self.path).read_text(encoding="utf-8-sig"))
+        text = recordings.text_of(self.path, self.what)
+        try:
+            return json_files.parse(text)
+        except ValueError:
+            lines = [line for line in text.splitlines() if line.strip()]
+            if len(lines) < 2 or not lines[0].rstrip().endswith(("}", "]")):
+                raise
+            return [json_files.parse(line) for line in lines]
 
 
-def _datasets(group: Any) -> Any:
-    """The arrays of an HDF5 group, which MATLAB writes with their dimensions reversed."""
-    if hasattr(group, "items"):
-        return {name: _datasets(item) for name, item in group.items()}
-    return np.asarray(group).T if group.dtype.kind in "fiub" and "MATLAB_empty" not in group.attrs else None
+def hdf5(path: Path, taken: Callable[[Any], np.ndarray]) -> Any:
+    """The arrays in the groups of an HDF5 file, by name; `taken` makes one of a data set."""
+    import h5py
+
+    def of(group: Any) -> Any:
+        if hasattr(group, "items"):
+            return {name.lstrip("#"): of(item) for name, item in group.items() if name != "#refs#"}
+        if names := group.dtype.names:
+            return {name: group[name] for name in names}
+        return taken(group) if group.dtype.kind in "fiub" and "MATLAB_empty" not in group.attrs else None
+
+    with h5py.File(path) as file:
+        return of(file)
 
 
 def _runs(value: Any) -> list[Run]:
     """The runs in a value, each with its columns: of all its parts the one with the most rows."""
     if isinstance(value, Mapping):
+        if value and all(NUMBERED.fullmatch(name) for name in value):
+            return _runs(list(value.values()))
         runs = [[dict(_vectors(value))], *map(_runs, value.values())]
         return max(runs, key=lambda each: sum(len(next(iter(_longest(run).values()), [])) for run in each))
     if not isinstance(value, list | np.ndarray) or not len(value):
         return []
     if all(isinstance(item, Mapping) for item in value):
-        runs = [run for item in value if (run := dict(_vectors(item)))]
-        return runs or [dict(pd.json_normalize(list(value)).items())]
+        scalars = any(time_name(key)[0] is not None and np.ndim(item) == 0 for key, item in value[0].items())
+        runs = [] if scalars else [run for item in value if (run := dict(_vectors(item)))]
+        return runs or [expanded(pd.json_normalize(list(value)))]
     matrix = _array(value)
     return [{str(k): column for k, column in enumerate(matrix.T, 1)}] if matrix is not None and matrix.ndim == 2 else []
 

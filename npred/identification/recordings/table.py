@@ -3,7 +3,7 @@
 import re
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,13 +24,33 @@ KINDS = {  # the first that a cell matches
     "number": re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?"),
     "clock": re.compile(r"(?:\d+ days? )?\d{1,4}:\d\d(?::\d\d)?(?:[.,]\d+)?(?: ?[AaPp][Mm])?"),
     "date": re.compile(r"\d{1,4}[-/. ](?:\d{1,2}|[A-Za-z]{3,9})[-/. ]\d{1,4}"),
-    "stamp": re.compile(r".*\d:\d\d.*|\d{8}T\d{4}.*"),
+    "stamp": re.compile(r"[^,;|\t]*\d:\d\d(?::\d\d)?(?:[.,]\d+)?[^,;|\t]*|\d{8}T\d{4}[^,;|\t]*"),
 }
 ANGLE = re.compile(r"[\W_](deg|degrees?|rad|radians?)$", re.IGNORECASE)
 COMMA = r"[-+]?(?:\d{1,3}(?:\.\d{3})+|\d*),\d+(?:[eE][-+]?\d+)?"
 EMPTY = ("", "nan", "na", "n/a", "null", "none", "nat", "inf", "-inf")
 SWITCHES = {"true": 1.0, "false": 0.0, "on": 1.0, "off": 0.0}
 UNIX = {"s": 1e9, "ms": 1e12, "us": 1e15, "ns": 1e18}  # since 1970, from the year 2001 on
+
+
+NAMES = {  # of columns of a long table, which has a row for each value: what a value is of, and the value
+    "name": (
+        "topic",
+        "varname",
+        "_field",
+        "field",
+        "entity_id",
+        "tag",
+        "tagname",
+        "variable",
+        "signal",
+        "channel",
+        "name",
+    ),
+    "value": ("value", "_value", "varvalue", "state", "val", "tagvalue"),
+}
+SHARE = 0.3  # topics of a long table are fewer than this share of its rows
+WINCC = 86.4e-3  # s: there Time_ms is the time since 1899 in millionths of a day
 
 
 class NamedColumns:
@@ -52,13 +72,32 @@ class NamedColumns:
         often, self.cells, self.data = Counter(short), list(cells), data
         self.names = [name if often[name] == 1 else cell for name, cell in zip(short, cells, strict=True)]
         self.units = {unit[1]: unit[2] or unit[3] or "" for unit in units if unit and often[unit[1]] == 1}
+        lower = {name.casefold(): k for k, name in enumerate(self.names)}
+        places = [next((lower[name] for name in words if name in lower), None) for words in NAMES.values()]
+        name, value = places
+        self.long = (name, value) if name is not None and value is not None and len({*map(len, data)}) == 1 else None
+        if self.long and {"varname", "time_ms"} <= lower.keys():
+            k = lower["time_ms"]
+            numbers = self.data[k].astype(str).str.replace(",", ".")
+            self.data[k], self.units[self.names[k]] = pd.to_numeric(numbers, errors="coerce") * WINCC, "s"
+
+    def counted(self, columns: Mapping[str, Any]) -> None:
+        """Take columns by name; their rows are counted from 1."""
+        self.named(list(columns), [column.set_axis(range(1, len(column) + 1)) for column in columns.values()])
 
     def columns(self) -> list[str]:
-        """The names of the columns, without their units."""
-        return self.names
+        """The names of the columns, without their units; of a long table its topics, too."""
+        return [*self._topics(), *self.names]
 
     def contents(self, names: Sequence[str], source: TimeSource) -> Contents:
-        """The columns as they are; NaN where a cell holds no number."""
+        """The columns as they are; NaN where a cell holds no number. Of a topic of a long table its rows."""
+        topics = {} if set(names) <= {*self.names, *self.cells} else self._topics()
+        if topics and self.long:
+            value, wide = self.names[self.long[1]], [name for name in names if name not in topics]
+            every = self.contents([value, *wide], source)
+            series = {name: TimeSeries(*(each[topics[name]] for each in every.series[value])) if name in topics
+                      else every.series[name] for name in names}  # fmt: skip
+            return every._replace(series=series)
         series, times, units = {}, {}, {}
         for name in names:
             k = self._find(name)
@@ -70,6 +109,13 @@ class NamedColumns:
                 units[name] = unit
         sources = ", and ".join(dict.fromkeys(f"{len(t)} rows; {how}" for t, how in times.values()))
         return Contents(series, [f"{self.path.name}: {sources}.", *dict.fromkeys(self.notes)], units)
+
+    def _topics(self) -> dict[str, np.ndarray]:
+        """The rows (N,) of each topic of a long table, as True; none of another one."""
+        if not self.long:
+            return {}
+        codes, topics = pd.factorize(_texts(self.data[self.long[0]]))
+        return {topic: codes == k for k, topic in enumerate(topics)} if len(topics) < SHARE * len(codes) else {}
 
     def _find(self, name: str) -> int:
         """The column of a name, with or without its unit."""
@@ -163,6 +209,20 @@ class NamedColumns:
         self._left_out(self.names[k], bad, "stamp", "left out with the row")
         seconds = (seconds - seconds[seconds.first_valid_index()]).to_numpy(float)
         return seconds * source.per(self.path, "s"), f"times from the stamps in {name}, in {source.unit}"
+
+
+def expanded(frame: Any) -> dict[str, Any]:
+    """The columns of a frame by name; one whose cells hold vectors of one length as name[0], name[1], ..."""
+    columns: dict[str, Any] = {}
+    for name, column in frame.items():
+        cells = column.dropna() if column.dtype == object else column[:0]
+        lengths = {len(cell) if isinstance(cell, list | np.ndarray) else 0 for cell in cells}
+        if len(lengths) == 1 and lengths != {0}:
+            values = pd.DataFrame(np.stack(cells).reshape(len(cells), -1), cells.index).reindex(column.index)
+            columns |= {f"{name}[{k}]": values[k] for k in values}
+        else:
+            columns[str(name)] = column
+    return columns
 
 
 def _texts(column: Any) -> Any:

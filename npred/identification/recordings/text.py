@@ -2,7 +2,6 @@
 and decimal commas. Columns without a name are called by their place: 1, 2, ...
 """
 
-import codecs
 import csv
 import re
 from collections import Counter
@@ -11,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from npred.base import json_files
 from npred.base.errors import ConfigError
-from npred.identification.recordings import UNITS, decoding
+from npred.identification import recordings
+from npred.identification.recordings import UNITS, decoding, unstructured
 from npred.identification.recordings.table import EMPTY, NamedColumns, kind_of, pd, time_name
 
 BRACKETS = re.compile(r"[\[(](.*)[])]")
@@ -28,11 +27,16 @@ class Text(NamedColumns):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
+        lines = self.lines()
         with decoding(path, "a table of text"):
-            text = _decoded(json_files.regular(path).read_bytes())
-            if "\0" in text:
-                raise ConfigError(f"{path}: expected a table of text, got bytes of another kind; save it as CSV")
-            self._read(re.split(r"\r\n?|\n", text))
+            if len(table := unstructured.columns(lines)):
+                self.counted(dict(table.items()))
+            else:
+                self._read(lines)
+
+    def lines(self) -> list[str]:
+        """The lines of the file."""
+        return re.split(r"\r\n?|\n", recordings.text_of(self.path, "a table of text"))
 
     def _read(self, lines: Sequence[str]) -> None:
         """Find the separator, then the first row, then the names above it."""
@@ -41,7 +45,7 @@ class Text(NamedColumns):
         if not data:
             raise ConfigError(f"{self.path}: expected a table, got an empty file; check the path")
         sample = list(data.values())[len(data) // 2 :: 1 + len(data) // SAMPLE]
-        separator = max(SEPARATORS, key=lambda each: _layout(sample, each)[1])
+        separator = self.separator or max(SEPARATORS, key=lambda each: _layout(sample, each)[1])
         width, share, measured = _layout(sample, separator)
         rows = {k: _cells(line, separator) for k, line in data.items()}
         long = {k: [cells[j] for j in measured] for k, cells in rows.items() if len(cells) >= width}
@@ -66,15 +70,6 @@ class Text(NamedColumns):
         self.named([header[k] or str(k + 1) for k in used], [columns[k] for k in used])
         units = {name: (BRACKETS.fullmatch(unit) or ["", unit])[1] for name, unit in zip(header, units, strict=False)}
         self.units |= {name: unit for name, unit in units.items() if name in self.names and unit}
-
-
-def _decoded(content: bytes) -> str:
-    """The text of bytes in UTF-8, UTF-16 with its mark, or Latin-1, without what fills a file that was cut."""
-    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        return content.decode("utf-16" if wide else "utf-8-sig").rstrip("\0")
-    except UnicodeDecodeError:
-        return content.decode("latin-1").rstrip("\0")
 
 
 def _layout(lines: Sequence[str], separator: str) -> tuple[int, float, list[int]]:

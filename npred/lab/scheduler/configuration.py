@@ -4,6 +4,7 @@ Methods, laws and observers of files enter by what the files hold, not by where 
 """
 
 import hashlib
+import json
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -45,8 +46,11 @@ def table(section: Section) -> dict[str, Any]:
 
 
 def content(key: str, path: Path) -> str:
-    """The digest of the content of a file that a key of the pipeline names."""
+    """The digest of the content of a file, or of all files of a folder, that a key of the pipeline names."""
     try:
+        if path.is_dir():
+            every = {str(file.relative_to(path)): sha256(file) for file in sorted(path.rglob("*")) if file.is_file()}
+            return hashlib.sha256(json.dumps(every).encode()).hexdigest()
         return sha256(regular(path))
     except OSError as error:
         raise ConfigError(f"{key}: expected a file at {path}, got: {error.strerror}; check the path") from None

@@ -96,6 +96,18 @@ def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder
     assert answer["sentences"][1] in page and page.count("<svg") >= 6
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_a_recording_asks_for_no_box_and_no_law_that_settles(folder: Path):
+    """Parameters that are to be estimated may be such that the law does not settle yet."""
+    file = folder / "my_plant.py"
+    file.write_text(
+        PLANT.replace('box, guess = {"h": (0.5, 2.0)}, ', "guess = ").replace('"gain": 1.0', '"gain": -9.0')
+    )
+    done = call("log.csv", *FLAGS)
+    assert done.exit_code == 3 and "q arrives 0.4" in done.stdout
+    assert "npred plants check would say no for stability" in done.stderr
+
+
 @pytest.mark.usefixtures("known", "undrawn")
 def test_a_second_call_takes_the_answer_from_the_store_and_another_recording_does_not(folder: Path):
     assert call("log.csv", *FLAGS).exit_code == 0

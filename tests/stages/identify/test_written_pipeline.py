@@ -71,10 +71,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def runs() -> None:
-    """Check, simulate and export take the file unchanged."""
-    for call in ("plants check log.toml", "generate log.toml", "export controller log.toml --predictor rk4 -o out"):
+    """Check, simulate and export take the file unchanged, and the check has no doubt of its steps."""
+    for call in ("plants check log.toml", "generate log.toml", "export controller log.toml -o out"):
         done = CliRunner().invoke(app, [*call.split(), "-q"])
         assert done.exit_code == 0, f"{call}: {done.output}"
+        assert ".dt   warn" not in done.output
 
 
 @pytest.mark.parametrize(
@@ -131,6 +132,13 @@ def test_an_input_whose_delay_is_open_has_the_middle_of_its_range():
     pipeline, remarks = made("Flow", [2.0, 4.0], [(0.0, 3.0), (3.9, 4.1)], 0.2, identifiable=[False, True])
     assert pipeline.delays == [1.5, 4.0] and pipeline.evaluate.D == 4.0
     assert "The delay of q is not identifiable: it is the middle of its range, 1.5 s" in remarks
+
+
+def test_a_delay_that_changes_begins_at_that_of_the_last_window_within_bounds_that_hold_all():
+    windows = {"t": [10.0, 20.0], "D": [[2.4], [3.9]], "interval": [[(2.3, 2.5)], [(3.8, 4.0)]]}
+    pipeline, remarks = made("Room", [3.9], [(2.3, 4.0)], 0.25, identifiable=[False], windows=windows)
+    assert pipeline.evaluate.D_hat == 3.9 and pipeline.evaluate.bounds == (2.3, 4.0)
+    assert "It begins at that of the last window, 3.9 h" in remarks
 
 
 @pytest.mark.slow

@@ -176,12 +176,15 @@ class IdentifiedResult(Result):
     #: rms error of predictions on the last quarter: `model`, and the rivals `no_delay`, `first_order_lag`,
     #: `lag_and_delay`, `static`
     held_back: dict[str, Number]
+    held_back_unit: str = ""  #: the output's, or `standard deviations of the outputs`
     sentences: list[str]  #: the result in words
     refused: bool  #: whether the recording contradicts the model, or is of a closed loop without a test signal
     ranges: dict[str, tuple[float, float]]  #: lowest and highest sample of each output that was measured
     samples: int  #: number of output samples
     period: float  #: the median time between two samples
-    windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = None  #: t, D, interval
+    windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = (
+        None  #: t, D, interval; if asked for, or if they differ
+    )
 
 
 class TunedNumber(Result):

@@ -6,7 +6,7 @@ from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
-    version=3,
+    version=4,
     upstream=(),
     result_class="npred.lab.config.results:IdentifiedResult",
     table_class="npred.lab.stages.identify.table:Identify",

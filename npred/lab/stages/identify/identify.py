@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 
 from npred.base.errors import ConfigError
-from npred.identification.identified import RIVALS, Identified
+from npred.identification.identified import WORDS, Identified, held_back_unit
 from npred.identification.identify import Reading, Settings, of_log, recorded
 from npred.lab.config import dumps
 from npred.lab.config.results import IdentifiedResult
@@ -50,6 +50,7 @@ def run(job: Job) -> IdentifiedResult:
         parameters=identified.parameters,
         parameter_intervals=identified.parameter_intervals,
         held_back=identified.held_back,
+        held_back_unit=held_back_unit(plant, identified.details["findings"].validation),
         sentences=identified.sentences,
         refused=identified.refused,
         ranges={name: (low, high) for name, low, high in ranges if low <= high},
@@ -102,8 +103,8 @@ def _page(job: Job, result: IdentifiedResult, figures: list[Figure]) -> str:
         Column("identifiable", yes_or_no),
     ]
     rivals = [
-        Column("model", [RIVALS.get(name, "the model") for name in result.held_back]),
-        Column("error (rms)", _limited(result.held_back.values()), digits=3),
+        Column("model", [WORDS[name] for name in result.held_back]),
+        Column(f"error, rms ({result.held_back_unit})", _limited(result.held_back.values()), digits=3),
     ]
     tables = [
         Table("identified", "With intervals of 95 %", columns),

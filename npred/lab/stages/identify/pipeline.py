@@ -19,6 +19,7 @@ from npred.lab.config import Pipeline
 from npred.lab.config.results import IdentifiedResult
 from npred.lab.config.section import map_paths
 from npred.lab.scheduler import pipeline_fit
+from npred.loop.control_step import FEW
 from npred.plants import Plant
 from npred.plants.speed import rates
 from npred.prediction.delays import problem_of
@@ -46,7 +47,8 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     values = asked.parameters | {k: v for k, v in result.parameters.items() if k in plant.parameters}
     plant = plants.resolve(asked.plant, values, law)
     ends, time = np.array(result.interval), plant.time_text
-    delays = np.maximum(np.where(result.identifiable, result.D, ends.mean(axis=1)), 0.0)
+    begin = np.clip(result.windows["D"][-1], *ends.T) if result.windows else ends.mean(axis=1)
+    delays = np.maximum(np.where(result.identifiable, result.D, begin), 0.0)
     longest = int(delays.argmax())
     observed = problem_of(plant).refusal("observer") is None
 
@@ -64,15 +66,19 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
     if not certain:
         D, span = _short(low + WORST * (high - low)), f"{time(low)} to {time(high)}"
         remarks.append(f"The delay is not identifiable, and was accepted as a range: D_hat is within {span}.")
-        remarks.append(f"It begins in the middle, {time(D_hat)}; the simulated delay is near the long end, {time(D)}.")
+        where = "at that of the last window" if result.windows else "in the middle"
+        remarks.append(f"It begins {where}, {time(D_hat)}; the simulated delay is near the long end, {time(D)}.")
     for j, name in enumerate(plant.inputs):
         if j != longest and not result.identifiable[j]:
-            middle = time(delays[j], ".4g")
-            remarks.append(f"The delay of {name} is not identifiable: it is the middle of its range, {middle}.")
+            which = "that of the last window" if result.windows else "the middle of its range"
+            remarks.append(f"The delay of {name} is not identifiable: it is {which}, {time(delays[j], '.4g')}.")
     if delays[longest] < dt:
         remarks.append(f"The delay is shorter than a control step, the least that a loop can have: D = {time(D)}.")
     if not observed:
         remarks.append("The delay observer does not work for this plant, so D_hat is constant.")
+    elif D_hat < FEW * dt * (1 - 1e-9):
+        observed = False
+        remarks.append(f"A delay of fewer than {FEW} control steps is too short to be estimated, so D_hat is constant.")
     differ = plant.m > 1 and (not plant.one_delay or np.ptp(delays) >= dt)
     if differ:
         each = ", ".join(f"{name} {time(_short(d))}" for name, d in zip(plant.inputs, delays, strict=True))
@@ -101,7 +107,7 @@ def composed(asked: Pipeline, plant: Plant, result: IdentifiedResult, path: Path
         loop |= {"observer": {"kind": "ekf"} | ({} if plant.declares_output else {"outputs": measured})}
     start = [ranges[s][0] + START * (ranges[s][1] - ranges[s][0]) if s in ranges else float(x)
              for s, x in zip(plant.states, plant.guess, strict=True)]  # fmt: skip
-    whole = [low, high] if D_hat < D else D
+    whole = [max(low, _short(FEW * dt)) if observed else low, high] if D_hat < D else D
     generate = loop | {"D": whole, "D_hat": [[low, high]]} | ({"nx": 100 * finer + 1} if finer > 1 else {})
     generate |= {"box": boxes} if ranges.keys() > plant.box.keys() else {}
     evaluate = loop | {"D_hat": D_hat, "case_D_hat": sorted({low, D_hat, high}), "case_t_end": t_end, "X0": start}
