@@ -47,7 +47,7 @@ def loops():
     }  # fmt: skip
     yield of("unicycle_time_delay"), {}
     yield of("chemostat"), {"D": lambda t: 0.5 + 0.1 * np.sin(t), "D_hat": 0.5, "disturbance": lambda t: [0.01]}
-    yield cart, {"D": 0.2, "D_hat": 0.2, **stored, "u0": [0.0], "safety": npred.SafetyFilter(3.0, delay=0.02)}
+    yield cart, {"D": 0.2, "D_hat": 0.2, **stored, "u0": [0.0], "safety": npred.SafetyFilter(3.0)}
     yield PLANT, {"D": 0.2, "D_hat": 0.2}, Fused(PLANT, operator(SMALL[0]).double(), 21, precision=np.float64)
 
 

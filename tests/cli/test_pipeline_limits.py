@@ -170,7 +170,8 @@ def test_an_fmu_has_the_filter_of_the_flag_and_of_the_pipeline(export):
         for flags in ((), FILTER, ("--set", "evaluate.safety={alpha=3.0, delay=0.02}"))
     )
     variables = [json.loads(done.stdout)["variables"] for done in (none, flag, table)]
-    assert set(variables[1]) - set(variables[0]) == {"filtered", "kept", "unkept", "promised", "withdrawn"} and variables[1] == variables[2]
+    added = {"filtered", "kept", "unkept", "promised", "withdrawn"}
+    assert set(variables[1]) - set(variables[0]) == added and variables[1] == variables[2]
     assert json.loads(flag.stdout)["token"] == json.loads(table.stdout)["token"]
 
 

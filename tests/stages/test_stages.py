@@ -292,6 +292,7 @@ def still(t, X):
         np.zeros(len(X)),
         zeros > 0,
         np.zeros(len(X)),
+        zeros > 0,
         np.zeros(len(X)),
         len(t),
     )
