@@ -182,9 +182,7 @@ class IdentifiedResult(Result):
     ranges: dict[str, tuple[float, float]]  #: lowest and highest sample of each output that was measured
     samples: int  #: number of output samples
     period: float  #: the median time between two samples
-    windows: dict[str, list[float | list[float] | list[tuple[float, float]]]] | None = (
-        None  #: t, D, interval; if asked for, or if they differ
-    )
+    windows: dict[str, list[Any]] | None = None  #: t, D and interval of each; if asked for, or if they differ
 
 
 class TunedNumber(Result):
