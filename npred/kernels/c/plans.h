@@ -1,8 +1,7 @@
 /* Rollouts of the loop under plans, side by side. A plan is U = clip(clip(kappa(x, t) + w) + v): w is constant, v in each
  * of BLOCKS, and the last block lasts. The grid of time has STEPS steps; the steps beyond it are as long as the loop allows. kappa is
  * constant over each of the first HELD steps, and continuous on the longer ones that follow. */
-#define LOOPS (WIDE > 1 ? MANY : 1) /* loops whose law is rolled out side by side */
-#define MANY 8                      /* plans that are rolled out side by side */
+#define LOOPS (WIDE > 1 ? MANY : 1) /* loops whose law is rolled out side by side; of plans it is MANY */
 #define ABREAST (ENDS * SIDE)       /* SIDE rollouts of a plan: itself, then one for each variable, which is moved there */
 #define TIGHT 2e-3
 #define LATER_BREACH 5e-4

@@ -18,8 +18,6 @@
  * reach (command governors: Garone, Di Cairano, Kolmanovsky, Automatica 75 (2017) 306). */
 #define ENOUGH (-0.5 * TIGHT) /* room of a plan that has half its reserve */
 #define WORN (-TIGHT) /* room of a plan that is kept, which may use its reserve */
-#define TAIL 192              /* steps beyond the grid in which a plan is to come to rest, in PARTS */
-#define PARTS 6
 #define FOLLOWED PRECISE(1e-4, 1e-3) /* of the box: what a state may be off a plan that led to it */
 
 /* The smallest room of plan b from all ends; one that breaks a limit has none, whatever its reserve. */
@@ -32,7 +30,7 @@ static inline double PART(_room)(const Rollouts *r, int b)
     return room;
 }
 
-/* Roll plans on until one rests: the one of these with the most room, or -1. `count` rollouts are those of all ends. */
+/* Roll plans on until one rests, for at most TAIL steps in PARTS: the one of these with the most room, or -1. */
 static INLINED int PART(_until_rest)(const int plans, int reserved, double room, const double *p, const double *s,
                                      const double *low, const double *high, Rollouts *r)
 {
@@ -94,10 +92,7 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
     for (int last = STEPS, moves = s[STILL] > 0.0; moves; last += TAIL / PARTS) {
         moves = 0;
         for (int b = 0; b < loops; b++) {
-            int is_kept = room[b] >= 0.0 && !rests[b];
-            for (int e = 0; e < ENDS && is_kept; e++) {
-                is_kept = r->strict[b * ENDS + e] >= 0.0;
-            }
+            const int is_kept = room[b] >= 0.0 && !rests[b] && PART(_room)(r, b) > OVERFLOWN;
             rests[b] = rests[b] || is_kept;
             for (int e = 0; e < ENDS && is_kept; e++) {
                 rests[b] = rests[b] && PART(_rests)(b * ENDS + e, count, p, s, low, high, r);

@@ -33,10 +33,7 @@ MANY, AHEAD = (
 )  # brakes, and how far ahead they rest, over the slowest rate
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
 LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
-TAIL, CHECKS = (
-    192,
-    7,
-)  # steps beyond the grid, and how often a plan is asked whether it rests: npred/kernels/c/protect.h
+TAIL, PARTS = 192, 6  # steps beyond the grid in which a plan is to rest, and the parts after which it is asked
 OPERATIONS = re.compile(r" [-+*/] |\b[a-z_]+\(")
 LARGEST = 64 << 17  # numbers of scratch memory, of 8 bytes
 
@@ -53,6 +50,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     timed = programs.depends([*of.trace.safe(of.trace.vector("x", n), of.trace.input("t"))], [of.trace.input("t")])
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
+    sizes |= {"MANY": MANY, "TAIL": TAIL, "PARTS": PARTS}
     sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
     return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
@@ -129,7 +127,7 @@ def operations(plant: Plant, ends: int) -> int:
     variables, steps = BLOCKS * m, (3 + 3 * MANY) * (STEPS + TAIL)
     lanes = ends * (steps + STEPS + 3 * (variables + 1) * STEPS)
     rolled = lanes * (max(one["STEP"], one["ALONG"]) + one["LAW"] + 6 * one["LIMITS"] + 30 * K + 8 * m + 3 * n)
-    checks, moments = ends * (3 + 3 * MANY) * CHECKS, 1 if plant.rests else LATE
+    checks, moments = ends * (3 + 3 * MANY) * (PARTS + 1), 1 if plant.rests else LATE
     points = 2 * moments * (2 * n + 1) * (one["STEP"] + one["LAW"] + one["LIMITS"] + 6 * m)
     rested = checks * (points + 24 * 6 * n**3 + 4 * moments * n**3)
     rows, active = STEPS * 2 * K * ends + 2 * variables, 2 * variables
