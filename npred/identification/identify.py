@@ -13,7 +13,7 @@ from npred.base.errors import ConfigError, unlisted
 from npred.formulas import programs
 from npred.formulas.trace import Trace
 from npred.identification import alternatives, excitation, recordings, screening, windows
-from npred.identification.estimate import correlated_share, estimate, parameters
+from npred.identification.estimate import Delays, correlated_share, estimate, parameters
 from npred.identification.excitation import BetweenRows
 from npred.identification.fit import CHECKED, Prior, Problem
 from npred.identification.identified import Findings, Identified
@@ -191,7 +191,8 @@ def _best(plant: Plant, log: Log, settings: Settings, rows: BetweenRows) -> Iden
         if not moving:
             raise
         return _answer(plant, log, settings, rows, True)
-    if not moving or answer.identifiable.all() or answer.refused or answer.details["findings"].varies.any():
+    findings = answer.details["findings"]
+    if not moving or answer.identifiable.all() or answer.refused or findings.varies.any() or findings.scatter.any():
         return answer
     whole = _answer(plant, log, settings, rows, True)
     if whole.refused or not _begins_held(whole):
@@ -231,8 +232,10 @@ def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole
     findings = settled(Findings(
         plant, delays.values, early, delays.interval, high, log.period, others,
         alternatives.in_lines(fewer, low, high) if rows.moving else None, rows.late,
-        windows.over_time(delays, low, high), none, none, excitation.still(log), excitation.alike(log), recurring,
-        asked, assumed, combination, delays.inflation, delays.lasting, correlated_share(delays),
+        windows.over_time(delays, low, high, None if whole else _first(log, delays)),
+        np.array([windows.scattered(delays, j) for j in range(plant.m)]), none, none,
+        excitation.still(log), excitation.alike(log), recurring, asked, assumed, combination,
+        delays.inflation, delays.lasting, correlated_share(delays),
         excitation.following(delays.fit.residuals, delays.problem.segments, delays.values), delays.accurate,
         bool(delays.others), excitation.followed(log), alternatives.held_back(delays, high),
     ))  # fmt: skip
@@ -251,6 +254,15 @@ def _answer(plant: Plant, log: Log, settings: Settings, rows: BetweenRows, whole
         findings.windows if settings.time_varying or findings.varies.any() else None,
         {"estimate": delays, "log": log, "findings": findings, "combination": combination},
     )  # fmt: skip
+
+
+def _first(log: Log, delays: Delays) -> Segments | None:
+    """The part before that which the delays are of, from where on all commands are known that act by them; None if that
+    is short.
+    """
+    used, rows = delays.problem.segments, log.later(float(delays.interval.max()))
+    first, count = rows.some(rows.t < used.t[0, 0]), int(used.mask.sum(axis=1).max())
+    return Segments.of(first, count, screening.GAP * log.period) if len(first.t) > 2 * count else None
 
 
 def _far(plant: Plant, log: Log) -> list[str]:

@@ -20,6 +20,7 @@ CERTAIN = 0.5  # share of the range of delays: a wider interval says nothing
 FAR = 4.0  # times what was allowed: a parameter that explains something else
 POOR = 0.3  # share of the spread of the outputs: so large errors that keep their sign are no noise
 LONG = 5.0  # samples for which they do
+DEVIATIONS = 2.0  # by which commands may arrive before and after the mean
 FOLLOWING = 0.3  # R² of errors by commands: the plant answers these otherwise than the model
 
 
@@ -37,6 +38,7 @@ class Evidence:
     lines: Lines | None  # commands in straight lines, where they may move so
     late: np.ndarray  # (m,) how much older than their rows commands may be in the mean
     windows: Windows
+    scatter: np.ndarray  # (m,) standard deviation of the delay from segment to segment, 0 if that may be chance
     varies: np.ndarray  # (m,) no constant delay fits the log and all of them
     lagged: np.ndarray  # (m,) a lag behind a delay that is far shorter fits about as well
     still: np.ndarray  # (m,) inputs that change in no recording
@@ -156,6 +158,13 @@ def varying(evidence: Evidence, j: int) -> str:
     return f"{said} a limit: any delay of {evidence.span(j)} is possible."
 
 
+def scattering(evidence: Evidence, j: int) -> str:
+    time, scatter = evidence.plant.time_text, evidence.scatter[j]
+    by = f"by {time(scatter, '.2g')} (standard deviation) about {time(evidence.D[j], '.3g')}"
+    said = f"it differs from command to command, {by}: as on a network, or where large steps take longer than small"
+    return f"{said} ones. Any delay of {evidence.span(j)} is possible." if scatter > 0 else ""
+
+
 def a_lag_behind(evidence: Evidence, j: int) -> str:
     if not evidence.lagged[j]:
         return ""
@@ -193,7 +202,7 @@ def wide(evidence: Evidence, j: int) -> str:
 
 OBJECTIONS: tuple[Objection, ...] = (
     still, together, closed, varying, before_its_command, another_plant, recurring, more_states, several, a_lag, poor,
-    beyond, a_lag_behind, wide,
+    beyond, scattering, a_lag_behind, wide,
 )  # fmt: skip
 
 
@@ -214,6 +223,7 @@ def settled(evidence: E) -> E:
         intervals = [
             (min(ends[0], 0.0) if other.as_good or evidence.incomplete else ends[0], ends[1]),
             *((low, top + evidence.late[j]) for low, top in rivals),
+            (D[j] - (apart := DEVIATIONS * evidence.scatter[j]), D[j] + apart),
         ]
         if varies[j]:  # what comes next is most like the last window
             over_time, D[j] = windows.seen(j)

@@ -77,7 +77,7 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         "plant": decay(), "D": np.array([0.3]), "early": np.zeros(1), "interval": np.array([interval]),
         "high": np.full(1, HIGH), "period": 0.05,
         "alternatives": [Alternative(0.2, as_good, False, 0.0, behind, None)], "lines": None, "late": np.zeros(1),
-        "windows": windows(0.3, 0.3), "varies": np.zeros(1, dtype=bool), "share": 0.0, "following": 0.0,
+        "windows": windows(0.3, 0.3), "scatter": np.zeros(1), "varies": np.zeros(1, dtype=bool), "share": 0.0, "following": 0.0,
         "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
         "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
         "combination": None, "inflation": 1.0, "drift": 0.0, "accurate": True, "several": False, "closed": 0.0,
