@@ -17,7 +17,7 @@ OTHER = 2.0  # times CLEAR: the best of many delays, by few samples
 FINE = 0.05  # sampling periods, which the delay of a window is not known better than
 LARGER = 2.0  # mean squares of errors, times those of the whole log: a delay there is another
 SCATTER = 4.0  # deviations by which segments may differ by chance, together and each
-GROWING = 0.2  # share of the errors' variance that is larger where outputs move with the delay
+GROWING = 0.15  # share of the errors' variance that is larger where outputs move with the delay
 TELLING = 0.5  # share of the range of delays: a window with a wider interval tells nothing
 
 
@@ -109,7 +109,8 @@ def _window(
     beyond = ((places < reach[0]) | (places > reach[1])).any(axis=1) & (rises <= minimum.levels.min())
     constant = minimum.problem.fit(delays.values, minimum.fit, 4)
     clear = constant.cost - minimum.fit.cost > OTHER * CLEAR * minimum.inflation
-    alike = [] if clear and better(minimum.fit, constant, minimum.inflation) else [delays.values]
+    before = grid is not delays.grid  # where errors speak against the constant delay by themselves
+    alike = [] if clear and (before or better(minimum.fit, constant, minimum.inflation)) else [delays.values]
     for place in [*places[beyond], *alike]:
         ends = np.stack([np.minimum(ends[:, 0], place), np.maximum(ends[:, 1], place)], axis=1)
     return (t[0, 0] + t[-1, -1]) / 2, minimum.fit.delays, ends

@@ -140,6 +140,30 @@ def test_a_delay_that_jumps_is_seen_over_windows():
     )
 
 
+def test_a_delay_that_jumps_while_the_longest_one_passes_is_seen():
+    """At 6 s: of the first 7 s only commands are used."""
+    early, late = decayed(0.2, 0.005, 4, 700), decayed(0.6, 0.005, 4, 700)
+    found = npred.identify(decay(), *early[:2], np.where((early[0] < 6)[:, None], early[2], late[2]))
+    assert not found.identifiable[0] and found.interval[0, 0] <= 0.2 and found.interval[0, 1] >= 0.6
+    assert "windows of the log have different ones" in str(found)
+
+
+@pytest.mark.parametrize(("jitter", "noise"), [(0.0, 0.02), (0.3, 0.005), (0.15, 0.03)])
+def test_a_delay_that_differs_from_command_to_command_is_not_certain(jitter, noise):
+    """As on a network; by 0.3 s errors keep their sign, by 0.15 s they are lost in the noise of the sensor."""
+    rng, fine, D = np.random.default_rng(7), 10, 0.5
+    sent = np.cumsum(rng.integers(4, 20, 100)) * PERIOD
+    arrives = np.maximum.accumulate(sent + D + rng.uniform(-1, 1, 100) * jitter)
+    levels, t = rng.uniform(-1, 1, 101), np.arange(1000 * fine) * PERIOD / fine
+    U, X = levels[np.searchsorted(sent, t, "right")], np.zeros(len(t))
+    for k, late in enumerate(levels[np.searchsorted(arrives, t, "right")][:-1]):
+        X[k + 1] = X[k] + (t[1] - t[0]) * (late - 0.5 * X[k])
+    found = npred.identify(decay(), t[::fine], U[::fine], X[::fine] + noise * rng.standard_normal(1000), longest=2.0)
+    low, high = found.interval[0]
+    assert found.identifiable[0] == (jitter == 0) and low <= D - 0.5 * jitter and D + 0.5 * jitter <= high, found
+    assert ("differs from command to command" in str(found)) == (jitter > 0)
+
+
 def test_windows_are_said_where_they_are_asked_for():
     found = npred.identify(decay(), *decayed(0.337), longest=1.5, time_varying=True)
     assert "windows of time the delay of U is" in str(found) and "a constant delay fits all of them" in str(found)

@@ -77,7 +77,8 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         "plant": decay(), "D": np.array([0.3]), "early": np.zeros(1), "interval": np.array([interval]),
         "high": np.full(1, HIGH), "period": 0.05,
         "alternatives": [Alternative(0.2, as_good, False, 0.0, behind, None)], "lines": None, "late": np.zeros(1),
-        "windows": windows(0.3, 0.3), "scatter": np.zeros(1), "varies": np.zeros(1, dtype=bool), "share": 0.0, "following": 0.0,
+        "windows": windows(0.3, 0.3), "scatter": np.zeros(1), "varies": np.zeros(1, dtype=bool),
+        "share": 0.0, "following": 0.0,
         "lagged": np.zeros(1, dtype=bool), "still": np.zeros(1, dtype=bool), "alike": [],
         "recurring": np.full(1, np.inf), "parameters": {}, "assumed": {},
         "combination": None, "inflation": 1.0, "drift": 0.0, "accurate": True, "several": False, "closed": 0.0,
@@ -98,6 +99,7 @@ def said(interval=(0.25, 0.35), as_good=False, behind=None, **changes) -> Findin
         ({"alike": [(0, 0)]}, False),
         ({"recurring": np.full(1, 1.0)}, False),
         ({"several": True}, False),
+        ({"scatter": np.full(1, 0.1)}, False),
         ({"lagged": np.ones(1, dtype=bool)}, False),
         ({"accurate": False}, False),
         ({"closed": 0.98}, False),
@@ -190,23 +192,24 @@ def test_what_is_odd_is_said_and_only_then(changes, words):
 
 @given(
     low=st.floats(0.1, 0.6), rival=st.floats(0.1, 0.6), line=st.floats(0.1, 0.6), late=st.floats(0.0, 0.2),
-    D=st.lists(st.floats(0.1, 0.6), min_size=2, max_size=6),
+    scatter=st.floats(0.0, 0.1), D=st.lists(st.floats(0.1, 0.6), min_size=2, max_size=6),
 )  # fmt: skip
 def test_an_interval_holds_all_that_was_seen_and_an_answer_that_is_contradicted_is_not_certain(
-    low, rival, line, late, D
+    low, rival, line, late, scatter, D
 ):
     ends = lambda value: (value, value + 0.05)
     over_time = windows(*D, half=0.01)
     findings = settled(
         said(
-            ends(low), windows=over_time, late=np.full(1, late),
+            ends(low), windows=over_time, late=np.full(1, late), scatter=np.full(1, scatter),
             alternatives=[Alternative(0.2, False, False, 1.0, (rival, 0.1), ends(rival))],
             lines=Lines(np.array([line]), np.array([ends(line)]), True, False),
         )
     )  # fmt: skip
     begin, end = findings.interval[0]
     assert begin <= min(low, rival, line) and end >= max(low, rival, line) + 0.05 + late - 1e-12
-    if rival + 0.05 < low:
+    assert begin <= 0.3 - 2 * scatter + 1e-12 and end >= 0.3 + 2 * scatter + late - 1e-12
+    if rival + 0.05 < low or scatter:
         assert not findings.identifiable[0]
     if findings.varies[0]:
         assert begin <= min(D) - 0.01 + 1e-12 and max(D) + 0.01 - 1e-12 <= end and findings.D[0] >= D[-1]

@@ -24,12 +24,13 @@ def series(path, *names, **options):
 def test_klipper(write, name):
     text = "Loaded MCU 'mcu' 100 commands\n" + "".join(
         f"Stats {1000 + k}.5: gcodein=0  mcu: mcu_awake=0.01 freq=72e6 "
-        f"heater_bed: target=60 temp={20 + k}.5 pwm=1.000 \n"
+        f"heater_bed: target=60 temp={20 + k}.5 pwm=1.000 print_time={k}.25 extruder: temp=21.0\n"
         f"webhooks client {k}: New connection\n"
         for k in range(9)
     )
     path = write(name, text)
     assert series(path, "heater_bed.temp") == {"heater_bed.temp": [20.5 + k for k in range(9)]}
+    assert series(path, "print_time") == {"print_time": [k + 0.25 for k in range(9)]}  # of the host, not of a heater
     assert recordings.read(path, ["mcu.freq"]).series["mcu.freq"].t[:2].tolist() == [1000.5, 1001.5]
 
 

@@ -13,6 +13,7 @@ from npred.identification.recordings.table import pd
 
 LEAST = 3  # lines by which a log is known
 KLIPPER = re.compile(r"Stats (\d+\.\d+): (.*)")
+HOST = {"gcodein", "sysload", "cputime", "memavail", "print_time", "buffer_time", "print_stall"}  # of no section
 MARLIN = re.compile(r"(?:(\d{4}-\d\d-\d\d[ T][\d:.,]+|\d{1,2}:\d\d:\d\d[.,\d]*)\b)?.*?(?<!\S)(T\d?:\s*-?[\d.]+\s*/.*)")
 HEATER = re.compile(r"([A-Z]?\d?@?\d?):\s*(-?[\d.]+)(?:\s*/\s*(-?[\d.]+))?")
 VARIABLE = re.compile(r"\s*\d+\.Variable\s*;\s*([^;]+)")
@@ -34,7 +35,7 @@ def klipper(lines: Sequence[str]) -> Any:
             for word in stats[2].split():
                 key, sign, value = word.partition("=")
                 section = section if sign else f"{word.rstrip(':')}."
-                row |= {f"{section}{key}": value} if sign else {}
+                row |= {key if key in HOST else f"{section}{key}": value} if sign else {}
             rows.append(row)
     return pd.DataFrame(rows if len(rows) >= LEAST else [])
 
