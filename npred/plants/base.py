@@ -404,7 +404,8 @@ class Plant(InNotebook):
     @cached_property
     def program(self) -> Mapping[str, str]:
         """The text of each function, as its trace prints it: equal formulas have equal texts."""
-        functions = ["f", "kappa", "V", *(["delay"] if self.declares_delay else [])]
+        functions = ["f", *(["kappa"] if self.declares_kappa else []), "V"]
+        functions += ["delay"] if self.declares_delay else []
         functions += ["reference"] if self.tracks else []
         functions += ["setpoint"] if self.declares_setpoint else []
         return {name: self.printed(name) for name in functions}

@@ -191,9 +191,10 @@ def test_the_pipeline_beside_a_plant_in_another_folder_finds_it(folder: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_no_V(folder: Path):
+@pytest.mark.parametrize("law", [("--set", "kappa=lqr"), ()])
+def test_the_pipeline_of_a_designed_law_has_that_law_and_a_delay_law_that_takes_no_V(folder: Path, law):
     (folder / "my_plant.py").write_text(PLANT.split("    def kappa")[0])
-    done = call("log.csv", *FLAGS, "--set", "kappa=lqr")
+    done = call("log.csv", *FLAGS, *law)
     assert done.exit_code == 0, done.output
     pipeline = config.load(folder / "log.toml")
     assert pipeline.kappa == "lqr"
