@@ -21,7 +21,7 @@ FAR = 4.0  # times what was allowed: a parameter that explains something else
 POOR = 0.3  # share of the spread of the outputs: so large errors that keep their sign are no noise
 LONG = 5.0  # samples for which they do
 DEVIATIONS = 2.0  # by which commands may arrive before and after the mean
-FOLLOWING = 0.3  # R² of errors by commands: the plant answers these otherwise than the model
+FOLLOWING = 0.15  # R² of errors by commands: the plant answers these otherwise than the model
 
 
 @dataclass(frozen=True)
@@ -240,5 +240,6 @@ def settled(evidence: E) -> E:
             ends[:] = 0.0, high
     evidence = replace(evidence, D=np.maximum(D, 0.0), interval=interval, windows=windows, varies=varies, lagged=lagged)
     for ends, other, certain in zip(interval, evidence.alternatives, evidence.identifiable, strict=True):
-        ends[0] = ends[0] if certain else min(ends[0], other.least)
+        if not certain or evidence.inflation > MISSING:  # what the model misses may be that lag
+            ends[0] = min(ends[0], other.least)
     return evidence
