@@ -45,6 +45,8 @@ def single(text: str) -> str:
 
 
 def _exact(value: float, kind: str) -> str:
+    if kind == "int":
+        return str(value)
     if not math.isfinite(value):
         return literal(value, kind)
     return f"{float(np.float32(_single(value))).hex()}f" if kind == "float" else float(value).hex()
