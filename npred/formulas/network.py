@@ -75,7 +75,8 @@ class Each(NamedTuple):
         a = [equal[k] if k in equal else tape.input(f"a{k}") for k in places]
         vary = [k for k in places if self.operands[k].dtype.kind == "i"]
         y = FORMULAS[self.name](M, *a)
-        dy = programs.derivative([y], [a[k] for k in vary], [tape.input(f"d{k}") for k in vary])
+        directions = [tape.input(f"d{k}") for k in vary]
+        dy = programs.derivative([y], [a[k] for k in vary], directions) if vary else [0.0]
         return [y, *dy], [f"a{k}" for k in places if k not in equal] + [f"d{k}" for k in vary]
 
     def tangent(self, s: np.ndarray, ds: np.ndarray) -> np.ndarray:
@@ -139,7 +140,7 @@ class Network:
                 a = [s[..., k] if k.dtype.kind == "i" else library.asarray(k) for k in part.operands]
                 with np.errstate(all="ignore"):  # of a branch that is not taken
                     y = FORMULAS[part.name](mathematics, *a)
-            s = library.concatenate([s, y], -1)
+            s = library.concatenate([s, library.broadcast_to(y, (*s.shape[:-1], part.size))], -1)
         return s
 
     def _outputs(self, s: Array) -> list[Value]:

@@ -16,16 +16,16 @@ _TABLE = re.compile(r"(interpolated\(.+), (\{.+\})\)")
 _NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
 LOOP = "LANES for (int l = 0; l < count; l++) {"
 # `count` is one or GROUP, both compiled apart
-CALLED = """static INLINED void plant_{name}_of(const int count, const double (*q)[GROUP], double (*y)[GROUP])
+CALLED = """static INLINED void plant_{name}_of(const int count, double (*q)[GROUP], double (*y)[GROUP])
 {{
     {lines}
 }}
-static APART void plant_{name}_one(const double (*q)[GROUP], double (*y)[GROUP])
+static APART void plant_{name}_one(double (*q)[GROUP], double (*y)[GROUP])
 {{
     plant_{name}_of(1, q, y);
 }}
 #if GROUP > 1
-static APART void plant_{name}_group(const double (*q)[GROUP], double (*y)[GROUP])
+static APART void plant_{name}_group(double (*q)[GROUP], double (*y)[GROUP])
 {{
     plant_{name}_of(GROUP, q, y);
 }}

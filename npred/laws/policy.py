@@ -22,7 +22,10 @@ from npred.formulas.tape import Functions
 if TYPE_CHECKING:
     from npred.plants.base import Plant
 
-MOVES = ("Concat", "Expand", "Flatten", "Gather", "Reshape", "Slice", "Split", "Squeeze", "Transpose", "Unsqueeze")
+MOVES = (
+    "Concat", "Expand", "Flatten", "Gather", "GatherND", "Reshape", "Slice", "Split", "Squeeze", "Transpose",
+    "Unsqueeze",
+)  # fmt: skip
 DEFAULTS = {"LeakyRelu": {"alpha": 0.01}, "Elu": {"alpha": 1.0}, "Clip": {"min": -np.inf, "max": np.inf}}
 RANDOM = ("RandomNormal", "RandomUniform", "Bernoulli", "Multinomial")
 
