@@ -5,10 +5,30 @@ import warnings
 import numpy as np
 import onnx
 import torch
+from c_controllers import InC, library
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
+import npred
+from npred.exports.onnx import session
+from npred.prediction.delays import problem_of
+from npred.prediction.methods import RK4
+
 SEEN = 6  # the most numbers that one of them sees
+X = np.random.default_rng(0).uniform(-1.5, 1.5, (19, SEEN)).astype(np.float32).astype(float)
+
+
+class Still:
+    """A plant that does not move: the state predicted for it is the state, and U is kappa of that."""
+
+    states = tuple(f"x{k}" for k in range(SEEN))
+    inputs = ("u",)
+
+    def f(x, u, t, p, M):
+        return [0.0] * len(x)
+
+    def kappa(x, t, p, M):
+        return [0.0]
 
 
 class LastTwo(nn.Module):
@@ -236,3 +256,44 @@ def every(folder):
     files = [of_torch(name, folder) for name in TORCH if name not in DYNAMO]
     files += [of_torch(name, folder, dynamo=True) for name in DYNAMO]
     return [*files, *of_sb3(folder), *by_hand(folder)]
+
+
+def in_one_law(files):
+    """A plant with an input for each action of each policy: one kernel has all networks."""
+    laws = [npred.policy(file) for file in files]
+    count = sum(law.network.size for law in laws)
+
+    def kappa(x, t, p, M):
+        return [a for law in laws for a in law(x[: law.network.count], t, p, M)]
+
+    return npred.plant(type("Still", (Still,), {"inputs": tuple(f"u{k}" for k in range(count))}), kappa=kappa)
+
+
+def referees(files):
+    """U (rows of X, inputs) by onnxruntime, which computes in float, and by ONNX's reference in double."""
+    from onnx.reference import ReferenceEvaluator
+
+    columns = [[], []]
+    for file in files:
+        model = onnx.load(file)
+        shape, name = [d.dim_value for d in model.graph.input[0].type.tensor_type.shape.dim], model.graph.input[0].name
+        run = session(model.SerializeToString()), ReferenceEvaluator(in_double(model))
+        for of, evaluator, kind in zip(columns, run, (np.float32, float), strict=True):
+            seen = X[:, : shape[-1]].astype(kind)
+            rows = [evaluator.run(None, {name: x if len(shape) == 1 else x[None]})[0] for x in seen]
+            of.append([row.reshape(-1, row.shape[-1])[0] for row in rows])  # of a chunk the first
+    return tuple(np.hstack(of) for of in columns)
+
+
+def routes(plant, folder):
+    """U by each way to compute it."""
+    lanes, U = len(X), np.empty((plant.m, len(X)))
+    P = np.repeat(X.T[None], 2, axis=0)
+    problem_of(plant).control(RK4.step)(P, np.zeros((2, plant.m, lanes)), np.ones(lanes), 0.0, np.zeros(1), U)
+    of = npred.controller(plant, npred.predictor(plant, "euler", 2), None, 0.1, D_hat=0.1)
+    computed = {"Python": plant.kappa(X), "lanes": U.T, "controller": np.array([of.step(x).copy() for x in X])}
+    for precision in ("double", "float"):
+        (folder / precision).mkdir()
+        in_c = InC(library(of, folder / precision, precision), plant, precision)
+        computed[f"C, {precision}"] = np.array([in_c.step(x).copy() for x in X])
+    return computed

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from c_controllers import InC, library, needs_gcc
+from c_controllers import needs_gcc
 
 import npred
 from npred import plants
@@ -17,16 +17,12 @@ from npred.base.errors import ConfigError, MissingError
 from npred.lab import config
 from npred.lab.scheduler.configuration import identity
 from npred.plants import Plant
-from npred.prediction.delays import problem_of
-from npred.prediction.methods import RK4
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 pytest.importorskip("torch")
 
 import policies  # noqa: E402  # which needs them
-
-from npred.exports.onnx import session  # noqa: E402
 
 PLANT = """
 class Pendulum:
@@ -48,19 +44,6 @@ class Pendulum:
 """
 
 
-class Still:
-    """A plant that does not move: the state predicted for it is the state, and U is kappa of that."""
-
-    states = tuple(f"x{k}" for k in range(policies.SEEN))
-    inputs = ("u",)
-
-    def f(x, u, t, p, M):
-        return [0.0] * len(x)
-
-    def kappa(x, t, p, M):
-        return [0.0]
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     return policies.every(tmp_path_factory.mktemp("policies"))
@@ -80,45 +63,15 @@ def pendulum(tmp_path):
 
 @pytest.fixture(scope="module")
 def all_of_them(files) -> Plant:
-    """A plant with an input for each action of each policy: one kernel has all networks."""
-    laws = [npred.policy(file) for file in files]
-    count = sum(law.network.size for law in laws)
-
-    def kappa(x, t, p, M):
-        return [a for law in laws for a in law(x[: law.network.count], t, p, M)]
-
-    return npred.plant(type("Still", (Still,), {"inputs": tuple(f"u{k}" for k in range(count))}), kappa=kappa)
+    return policies.in_one_law(files)
 
 
-X = np.random.default_rng(0).uniform(-1.5, 1.5, (19, policies.SEEN)).astype(np.float32).astype(float)
-
-
-def expected(files, run):
-    """What `run` gives of each file's model for the rows X, side by side; of a chunk its first row."""
-    columns = []
-    for file in files:
-        model = onnx.load(file)
-        shape = [d.dim_value for d in model.graph.input[0].type.tensor_type.shape.dim]
-        evaluate = run(model)
-        rows = [evaluate(x if len(shape) == 1 else x[None])[0] for x in X[:, : shape[-1]]]
-        columns.append(np.array([row.reshape(-1, row.shape[-1])[0] for row in rows]))
-    return np.hstack(columns)
+X = policies.X
 
 
 @pytest.fixture(scope="module")
 def U(files):
-    """By onnxruntime, which computes in float, and by ONNX's reference in double."""
-    from onnx.reference import ReferenceEvaluator
-
-    def by_runtime(model):
-        run, name = session(model.SerializeToString()), model.graph.input[0].name
-        return lambda x: run.run(None, {name: x.astype(np.float32)})
-
-    def by_reference(model):
-        run, name = ReferenceEvaluator(policies.in_double(model)), model.graph.input[0].name
-        return lambda x: run.run(None, {name: x})
-
-    return expected(files, by_runtime), expected(files, by_reference)
+    return policies.referees(files)
 
 
 def near(computed, U, exact=1e-12):
@@ -131,36 +84,23 @@ def test_there_are_twenty_of_three_exporters(files):
     assert len(files) == len({file.name for file in files}) == 20
 
 
-def test_python_computes_what_onnxruntime_does(all_of_them, U):
+def test_python_and_torch_compute_what_onnxruntime_does(all_of_them, U):
     near(all_of_them.kappa(X), U)
     assert all_of_them.kappa(X[0]).shape == (all_of_them.m,)
-
-
-def test_torch_computes_the_same(all_of_them, U):
     import torch
 
     assert np.abs(all_of_them.kappa(torch.as_tensor(X)).numpy() - U[1]).max() < 1e-12
 
 
-def test_lanes_compute_the_same(all_of_them, U):
-    control, lanes = problem_of(all_of_them).control(RK4.step), len(X)
-    P, out = np.repeat(X.T[None], 2, axis=0), np.empty((all_of_them.m, lanes))
-    control(P, np.zeros((2, all_of_them.m, lanes)), np.ones(lanes), 0.0, np.zeros(1), out)
-    near(out.T, U)
-
-
+@pytest.mark.slow
 @needs_gcc
-def test_the_controller_and_its_c_compute_the_same(all_of_them, U, tmp_path):
+def test_kernels_controllers_and_c_compute_the_same(all_of_them, U, tmp_path):
     """In float the C rounds as onnxruntime does, in another order."""
-    of = npred.controller(all_of_them, npred.predictor(all_of_them, "euler", 2), None, 0.1, D_hat=0.1)
-    near(np.array([of.step(x).copy() for x in X]), U)
-    for precision, exact in (("double", 1e-12), ("float", 3e-6)):
-        folder = tmp_path / precision
-        folder.mkdir()
-        in_c = InC(library(of, folder, precision), all_of_them, precision)
-        computed = np.array([in_c.step(x).copy() for x in X])
-        assert np.abs(computed - U[1]).max() < exact
-        assert np.abs(computed - U[0]).max() < max(exact, 1e-6)
+    computed = policies.routes(all_of_them, tmp_path)
+    in_float = computed.pop("C, float")
+    for route in computed.values():
+        near(route, U)
+    assert np.abs(in_float - U[1]).max() < 3e-6
 
 
 def test_derivatives_are_those_of_differences(all_of_them):
@@ -173,7 +113,7 @@ def test_derivatives_are_those_of_differences(all_of_them):
 def test_a_kink_has_the_derivative_of_pytorch(tmp_path, op, slope):
     rest = {"alpha": 0.25} if slope == 0.25 else {}
     file = policies.graph([(op, "obs", "mu", rest)], {}, tmp_path / "kink.onnx", (1, 1), (1, 1))
-    plant = npred.plant(type("One", (Still,), {"states": ("x",), "f": lambda x, u, t, p, M: [0.0]}), kappa=str(file))
+    plant = npred.plant(type("One", (policies.Still,), {"states": ("x",)}), kappa=str(file))
     J = plant.kappa_jacobian(np.array([[0.0], [900.0], [-900.0]]))
     assert J[0] == slope and J[1] == 1 and np.isfinite(J).all()
 
@@ -218,7 +158,7 @@ def test_a_group_of_lanes_computes_what_one_does(jax):
     """With a delay per input the law is in the prediction, whose lanes go side by side."""
     law = npred.policy(jax)
     parts = {"inputs": ("a", "b"), "delays": (0.5, 1.0), "f": lambda x, u, t, p, M: [u.a - a for a in x]}
-    plant = npred.plant(type("Two", (Still,), parts), kappa=law)
+    plant = npred.plant(type("Two", (policies.Still,), parts), kappa=law)
     predict = npred.predictor(plant, "rk4", 5)
     u, D_hat = np.zeros((19, 5, 2)), np.linspace(0.2, 1.0, 19)
     P = predict.predict(X, u, D_hat, 0.0)
