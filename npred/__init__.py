@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from npred.lab.scheduler.models import load
     from npred.lab.scheduler.runs import evaluate, generate, train
     from npred.lab.stages.bench.comparison import compare
+    from npred.laws.policy import policy
     from npred.loop import lyapunov as lyapunov
     from npred.loop import metrics as metrics
     from npred.loop.closed_loop import simulate
@@ -41,7 +42,7 @@ __version__ = "1.0.0"
 __all__ = [
     "DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Loop", "Measurement", "Predictor", "SafetyFilter",
     "Timing", "Watchdog", "as_iosystem", "compare", "controller", "delay_margin", "evaluate", "export", "generate",
-    "guarded", "identify", "load", "plant", "predictor", "simulate", "train",
+    "guarded", "identify", "load", "plant", "policy", "predictor", "simulate", "train",
 ]  # fmt: skip
 
 _HOME = {
@@ -64,6 +65,7 @@ _HOME = {
     "identify": "identification.identify",
     "load": "lab.scheduler.models",
     "plant": "plants",
+    "policy": "laws.policy",
     "predictor": "prediction.methods",
     **dict.fromkeys(("evaluate", "generate", "train"), "lab.scheduler.runs"),
     "simulate": "loop.closed_loop",

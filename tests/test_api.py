@@ -17,7 +17,7 @@ from npred.prediction.methods import RK4
 def test_public_names_are_the_documented_ones():
     names = {"DelayAdaptation", "DelayLaw", "DelayObserver", "L1Adaptation", "Loop", "Measurement", "Predictor"}
     names |= {"SafetyFilter", "Timing", "Watchdog", "compare", "delay_margin", "export"}
-    names |= {"as_iosystem", "controller", "guarded", "load", "plant", "predictor", "simulate"}
+    names |= {"as_iosystem", "controller", "guarded", "load", "plant", "policy", "predictor", "simulate"}
     names |= {"evaluate", "generate", "identify", "train"}
     assert set(npred.__all__) == names
     for name in npred.__all__:

@@ -195,7 +195,7 @@ METHODS = Registry(
         "rollout": Entry("npred.prediction.methods.rollout:Rollout", "rollout", ("ink", (1, 1.5), "P")),
     },
 )
-LAWS = Registry(  # kappa, designed from f
+LAWS = Registry(  # kappa, designed from f, or learned
     "kappa",
     "npred.laws",
     {
@@ -203,6 +203,7 @@ LAWS = Registry(  # kappa, designed from f
         "pole_placement": Entry("npred.laws.linearisation:pole_placement", "pole placement"),
         "feedback_linearisation": Entry("npred.laws.linearisation:feedback_linearisation", "feedback linearisation"),
         "sontag": Entry("npred.laws.universal:sontag", "Sontag's formula"),
+        "policy": Entry("npred.laws.policy:law", "policy", extra="onnx"),
     },
 )
 PAPER, OBSERVER, FROZEN = "bresch-pietri-krstic", "delay-observer", "frozen"  # laws for the estimate of the delay
@@ -282,6 +283,11 @@ STAGES = ("identify", "generate", "train", "evaluate", "certify", "bench", "repo
 def declared_stage(name: str) -> Any:
     """The declaration of a stage: an npred.lab.scheduler.declaration.Stage."""
     return importlib.import_module(f"npred.lab.stages.{name}").STAGE
+
+
+def is_policy(spec: object) -> bool:
+    """True if a text names a file of a learned policy."""
+    return isinstance(spec, str) and spec.endswith(".onnx")
 
 
 def in_file(spec: str) -> bool:

@@ -22,8 +22,9 @@ Step = Callable[..., np.ndarray]  # npred.prediction.methods.base
 
 @cache
 def called(plant: Declared) -> tuple[str, ...]:
-    """The functions of the plant that its kernels call: those whose programs are long."""
-    return tuple(name for name in ("f", "kappa") if operations(plant, name) > LONG)
+    """The functions of the plant that its kernels call: those whose programs are long, and call no network."""
+    texts = {name: lines(plant, name) for name in ("f", "kappa")}
+    return tuple(name for name, text in texts.items() if len(text) > LONG and "plant_network" not in "".join(text))
 
 
 def whole(step: Step, chains: int = 1) -> Step:
@@ -57,9 +58,14 @@ def stepped(f: Trace | Step, step: Step, x: np.ndarray, inputs: Sequence[np.ndar
 
 
 def operations(plant: Declared, name: str, step: Step | None = None) -> int:
-    """The lines of the program of a function, or of a step, f written out."""
+    """How many lines the program of a function has, or of a step, f written out."""
+    return len(lines(plant, name, step))
+
+
+def lines(plant: Declared, name: str, step: Step | None = None) -> list[str]:
+    """Those lines."""
     _, outputs = program(plant, name, step)
-    return len(programs.lines(outputs, {}, names("y", len(outputs))))
+    return programs.lines(outputs, {}, names("y", len(outputs)))
 
 
 def program(plant: Declared, name: str, step: Step | None = None) -> tuple[list[str], np.ndarray]:

@@ -5,7 +5,7 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from types import SimpleNamespace
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, NoReturn, Protocol
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from npred.formulas.tape import INSTEAD, NAMES, Functions
 Components = list[Value] | None
 
 SIGNATURES = {"f": "f(x, u, t, p, M)", "mechanics": "mechanics(x, u, t, p, M)", "reference": "reference(t, p, M)"}
+SIGNATURES["observation"] = "observation(x, u, t, p, M)"
 SIGNATURES |= {name: f"{name}(x, t, p, M)" for name in ("kappa", "V", "delay", "output", "safe", "setpoint")}
 ON_ROWS = {"f": "f(X, u, t, p)", "reference": "reference(t, p)", "df": "df(X, u, t, p, v)"}
 ON_ROWS |= {"output": "output(X, t, p)", "kappa": "kappa(X, t, p)", "V": "V(X, t, p)", "dkappa": "dkappa(X, t, p, v)"}
@@ -89,6 +90,10 @@ def call(
     named = record("Parameters", plant.p_names)(*p)
     inputs = () if u is None else (record("Inputs", plant.inputs)(*u),)
     function = getattr(plant.declaration, name)
+    if name == "observation":
+        inputs = (LastAction(plant),)
+    if name == "kappa" and getattr(function, "observes", False) and hasattr(plant.declaration, "observation"):
+        state = (call(plant, "observation", x, None, t, p, M),)
     try:
         values = function(*state, *inputs, t, named, M)
     except ConfigError:
@@ -100,6 +105,21 @@ def call(
     # A formula that returns a bare number returns, on arrays, an array without an axis of components.
     several = isinstance(values, list | tuple) or np.ndim(values) > np.ndim(t if x is None else x[0])
     return list(values) if several else [values]
+
+
+class LastAction:
+    """The u of observation, which a law of the predicted state does not know: to read it is refused."""
+
+    def __init__(self, plant: Declared) -> None:
+        self.__plant = plant
+
+    def __getattr__(self, name: str) -> NoReturn:
+        what = f"{self.__plant.location('observation')} expected what the state tells, got the last action, u"
+        late = self.__plant.inputs[0]
+        cure = f"declare a state that follows u.{late}, say z' = (u.{late} - x.z) / tau, and observe that"
+        raise ConfigError(f"{what}; {cure}")
+
+    __getitem__ = __iter__ = __len__ = __getattr__
 
 
 def parameters(plant: Declared) -> Parameters:

@@ -93,9 +93,11 @@ def depends(outputs: Vector, symbols: Vector) -> bool:
 def kinks(outputs: Vector, inputs: Vector) -> list[str]:
     """The operations without a derivative somewhere by which the outputs depend on those inputs, each named once."""
     operations = set()
-    nodes = next((y.tape.nodes for y in outputs if isinstance(y, Symbol)), [])
+    tape = inputs[0].tape
     for index in _needed(outputs):
-        op, args = nodes[index]
+        op, args = tape.nodes[index]
+        if op == "call" and args[0] in tape.networks and depends(args[2:], inputs):
+            operations |= tape.networks[args[0]].kinks
         decided = args[:1] if op == "where" else args
         if op in KINKED and depends(decided, inputs):
             operations.add(op)

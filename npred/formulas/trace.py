@@ -153,5 +153,7 @@ def python(outputs: tapes.Vector, names: Sequence[str], library: ModuleType = np
     lines = programs.lines(outputs, {}, targets, ON_ARRAYS if library is np else {})
     text = f"def function({', '.join(names)}):\n    " + "\n    ".join(lines) + f"\n    return [{', '.join(targets)}]"
     space: dict[str, Any] = {"math": library, "np": np, "interp": tables.interp}
+    for name, called in next((y.tape.networks for y in outputs if isinstance(y, tapes.Symbol)), {}).items():
+        space |= {f"plant_{name}": called, f"plant_d{name}": called.tangents}
     exec(text, space)
     return space["function"]

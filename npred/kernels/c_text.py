@@ -26,7 +26,7 @@ def literal(value: float, kind: str) -> str:
 
 
 def constant(name: str, values: np.ndarray, kind: str = "double") -> str:
-    """A static array, its numbers exact in hexadecimal."""
+    """A static array of int, or of numbers that are exact in hexadecimal."""
     numbers = [_exact(value, kind) for value in values.tolist()]
     rows = [", ".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
     return f"static const {kind} {name}[{len(numbers)}] = {{\n    " + ",\n    ".join(rows) + "\n};"
@@ -45,6 +45,8 @@ def single(text: str) -> str:
 
 
 def _exact(value: float, kind: str) -> str:
+    if kind == "int":
+        return str(value)
     if not math.isfinite(value):
         return literal(value, kind)
     return f"{float(np.float32(_single(value))).hex()}f" if kind == "float" else float(value).hex()

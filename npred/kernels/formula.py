@@ -17,43 +17,16 @@ from typing import Any
 import numpy as np
 
 from npred.formulas import called_functions, programs
-from npred.formulas.tape import OPS, Vector
+from npred.formulas.tape import Vector
 from npred.formulas.trace import Trace
+from npred.kernels import network
+from npred.kernels.statements import CALLED, LOOP, TEXTS, statement
 
-TEXTS = {name: op.text.replace("math.", "") for name, op in OPS.items()} | {
-    "pow": "pow({0}, {1})", "abs": "fabs({0})", "sign": "sign_of({0})", "where": "{0} != 0 ? {1} : {2}",
-    "maximum": "larger({0}, {1})", "minimum": "smaller({0}, {1})", "sin": "sine({0})", "cos": "cosine({0})",
-    "floor": "floor({0})", "mod": "modulus({0}, {1})", "interp": "interpolated({0}, {1:c})",
-    "logical_and": "({0} != 0) & ({1} != 0)", "logical_or": "({0} != 0) | ({1} != 0)", "logical_not": "{0} == 0",
-}  # fmt: skip
-NUMBERS = {"(np.inf)": "INFINITY", "(-np.inf)": "-INFINITY", "(np.nan)": "NAN", "True": "1", "False": "0"}
 HEAD = "static INLINED void {name}({arguments})\n{{\n    {lines}\n}}\n"
 # for a function that calls others: for `count` lanes, each with its numbers, and for one lane
 CALLING = HEAD + "static INLINED void {name_of_one}({of_one})\n{{\n    {name}(1, {passed});\n}}\n"
 CALL = re.compile(r"plant_(\w+)\((.*)\)$")
-_CONDITION = re.compile(r"\S+ (?:<=?|==) \S+|\(.+\) [&|] \(.+\)")
-_TABLE = re.compile(r"(interpolated\(.+), (\{.+\})\)")
 _VARIABLE = re.compile(r"\bv\d+\b")
-LOOP = "LANES for (int l = 0; l < count; l++) {"
-# `count` is one or GROUP, both compiled apart
-CALLED = """static INLINED void plant_{name}_of(const int count, const double (*q)[GROUP], double (*y)[GROUP])
-{{
-    {loop}
-        {lines}
-    }}
-}}
-static APART void plant_{name}_one(const double (*q)[GROUP], double (*y)[GROUP])
-{{
-    plant_{name}_of(1, q, y);
-}}
-#if GROUP > 1
-static APART void plant_{name}_group(const double (*q)[GROUP], double (*y)[GROUP])
-{{
-    plant_{name}_of(GROUP, q, y);
-}}
-#endif
-"""
-_NUMBER = re.compile("|".join(re.escape(text) for text in NUMBERS))
 
 
 @dataclass(frozen=True)
@@ -93,6 +66,7 @@ class Formulas:
         """The C function of some outputs; see `function`."""
         n, m = self.plant.n, self.plant.m
         sizes = {name: n * getattr(step, "whole", 1) for name, step in self.trace.steps.items()}
+        sizes |= {f"{d}{name}": one.size for name, one in self.trace.tape.networks.items() for d in ("", "d")}
         sizes = {"f": n, "df": n, "kappa": m, "law": 2 * m} | sizes
         return function("{name}", outputs, arguments, results, len(self.plant.p_names), stride, sizes)
 
@@ -104,13 +78,16 @@ class Formulas:
 
     def called(self) -> list[str]:
         """The functions that those of this trace call."""
-        texts = []
+        texts, networks = [], self.trace.tape.networks
         for name in self.trace.tape.called():
+            if name.removeprefix("d") in networks:
+                texts += network.texts(networks[name.removeprefix("d")], name)
+                continue
             arguments, outputs = called_functions.program(self.plant, name, self.trace.steps.get(name))
             read = {argument: f"q[{k}][l]" for k, argument in enumerate(arguments)}
             targets = [f"y[{k}][l]" for k in range(len(outputs))]
-            lines = [_statement(line) for line in programs.lines(np.ravel(outputs), read, targets, TEXTS)]
-            texts.append(CALLED.format(name=name, loop=LOOP, lines="\n        ".join(lines)))
+            lines = [statement(line) for line in programs.lines(np.ravel(outputs), read, targets, TEXTS)]
+            texts.append(CALLED.format(name=name, lines="\n    ".join([LOOP, *(f"    {line}" for line in lines), "}"])))
         return texts
 
 
@@ -136,13 +113,13 @@ def function(
     named = ", ".join([*(f"const int {text}" for text in sized), *heads, *tail])
     program = programs.lines(outputs, bindings, targets, TEXTS)
     if not any(CALL.search(line) for line in program):
-        lines = [_statement(line) for line in program]
+        lines = [statement(line) for line in program]
         return HEAD.format(name=name, arguments=named, lines="\n    ".join([*unused(named, lines), *lines]))
     for a in arguments:  # numbers are arrays then, too
         bindings |= {k: _at_lane(text, a.stride) for k, text in a.texts.items()} if isinstance(a, Strided) else {}
         bindings |= {} if isinstance(a, Strided) else {a: f"{a}[l]"}
     targets = [_at_lane(target, stride) for target in targets]
-    lines = grouped(programs.lines(outputs, bindings, targets, TEXTS), sizes, _statement)
+    lines = grouped(programs.lines(outputs, bindings, targets, TEXTS), sizes, statement)
     heads = [f"const double *{a.name if isinstance(a, Strided) else a}" for a in arguments]
     of_lanes = ", ".join(["const int count", *(f"const int {text}" for text in sized), *heads, *tail])
     passed = [*sized, *(a.name if isinstance(a, Strided) else f"&{a}" for a in arguments), "p", *results]
@@ -162,18 +139,6 @@ def unused(arguments: str, lines: Sequence[str]) -> list[str]:
     read = set(re.findall(r"\w+", "\n".join(lines)))
     names = [argument.rpartition(" ")[2].removeprefix("*") for argument in arguments.split(", ")]
     return [f"(void)({name});" for name in names if name not in read]
-
-
-def _statement(line: str) -> str:
-    left, _, right = line.partition(" = ")
-    right = _NUMBER.sub(lambda number: NUMBERS[number[0]], right)
-    if not re.fullmatch(r"v\d+", left):
-        return f"{left} = {right};"
-    if table := _TABLE.fullmatch(right):
-        call, numbers = table.groups()
-        return f"static const double {left}_rows[] = {numbers}; const double {left} = {call}, {left}_rows);"
-    kind = "int" if _CONDITION.fullmatch(right) else "double"
-    return f"const {kind} {left} = {right};"
 
 
 def grouped(program: Sequence[str], sizes: Mapping[str, int], statement: Callable[[str], str]) -> list[str]:

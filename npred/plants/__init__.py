@@ -27,7 +27,7 @@ def plant(name: str | type, *, kappa: Kappa = "", **parameters: float) -> Plant:
     name : str or class
         A name that npred has, "my_plant.py:Tank", or the class.
     kappa : function (x, t, p, M), or the name of a law of npred.laws, as "lqr", optional
-        Takes the place of its law.
+        Takes the place of its law; also a policy's file, "policy.onnx".
     **parameters : float
         Values of the plant's parameters, by name.
 
@@ -82,7 +82,8 @@ def controlled(plant: Plant, kappa: Kappa) -> Plant:
     """The plant with that law; itself where there is none. Raises ConfigError for a law that does not serve it."""
     if callable(kappa) or not kappa:
         return plant.controlled(kappa) if callable(kappa) else plant
-    table = {"law": kappa} if isinstance(kappa, str) else dict(kappa)
+    by_file = {"law": "policy", "path": str(kappa)}
+    table = by_file if registry.is_policy(kappa) else {"law": kappa} if isinstance(kappa, str) else dict(kappa)
     name = str(table.pop("law", ""))
     design = registry.LAWS.load("kappa", name)
     try:

@@ -149,6 +149,7 @@ class Declaration(BaseModel, frozen=True):
     rollout: Function | None = None
     reference: Function | None = None
     output: Function | None = None
+    observation: Function | None = None
     outputs: Names | None = None
     safe: Function | None = None
     setpoint: Function | None = None

@@ -9,7 +9,18 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from npred.base import registry
-from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
+from npred.base.registry import (
+    BASELINES,
+    DELAY_LAWS,
+    FROZEN,
+    LAWS,
+    METHODS,
+    NETWORKS,
+    OBSERVERS,
+    RUNTIMES,
+    Registry,
+    is_policy,
+)
 
 MOST = 2**53  # the largest count that a key takes
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -69,7 +80,7 @@ Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 Observes = Annotated[str, AfterValidator(partial(_part, OBSERVERS, ())), OBSERVERS]
 Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
-Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
+Kappa = Annotated[str, AfterValidator(lambda name: name if is_policy(name) else _part(LAWS, (), name)), LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
 
@@ -114,7 +125,7 @@ def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
         return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
         return [map_paths(item, locate, key) for item in value]
-    is_path = isinstance(value, str) and (registry.in_file(value) or (key == "data" and value))
+    is_path = isinstance(value, str) and (registry.in_file(value) or is_policy(value) or (key == "data" and value))
     return locate(value) if is_path else value
 
 
