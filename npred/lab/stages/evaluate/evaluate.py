@@ -14,6 +14,7 @@ from npred.lab.config.conditions import EVERY, Condition, Starts, starts
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, Evaluated, PredictorId
 from npred.lab.config.results.evaluate import POOR, Coverage, KindErrors, KindSize, Scores
 from npred.lab.report import figures
+from npred.lab.report.figures.evaluation_data import LoopSeries
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.evaluate import accuracy, behaviour
 from npred.lab.stages.report import tables
@@ -129,12 +130,30 @@ def load_network(job: Job, network_id: PredictorId) -> Predictor:
     return runtimes.predictor("torch", job.plant, operator, job.config.evaluate.nx, name, job.device)
 
 
-def _predictors(job: Job) -> dict[PredictorId, Predictor]:
+def begun(job: Job) -> figures.EvaluationData:
+    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network."""
+    config, begin = job.config.evaluate, starts(job.config, job.plant)
+
+    def series(table: Evaluate) -> dict[PredictorId, LoopSeries]:
+        loops = {c: _loops(job, table, c, exact, begin, slice(0, 1)) for c, exact in _exact(job).items()}
+        shown = {c: behaviour.figure1(table, run) for c, run in loops.items()}
+        return {c: LoopSeries(**{name: getattr(run, name) for name in behaviour.SERIES}) for c, run in shown.items()}
+
+    bounded, none = series(config.bounded) if config.bounded else {}, np.zeros(0)
+    return figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+
+
+def _exact(job: Job) -> dict[PredictorId, Predictor]:
+    """The numerical predictor, and the same without adaptation where something adapts."""
     config = job.config.evaluate
     exact = numerical(config.predictor, job.plant, config.nx)
-    predictors: dict[PredictorId, Predictor] = {NUMERICAL: exact}
-    if config.adaptation != FROZEN and not job.plant.declares_delay:
-        predictors[NO_ADAPTATION] = exact
+    adapts = config.adaptation != FROZEN and not job.plant.declares_delay
+    return {NUMERICAL: exact} | ({NO_ADAPTATION: exact} if adapts else {})
+
+
+def _predictors(job: Job) -> dict[PredictorId, Predictor]:
+    config, predictors = job.config.evaluate, _exact(job)
+    exact = predictors[NUMERICAL]
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
             network = load_network(job, PredictorId(model, snapshot))
