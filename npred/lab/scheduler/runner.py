@@ -339,7 +339,7 @@ class _Graph:
             return
         there = {name: outcome.artifact.folder for name, outcome in run.outcomes.items() if name in report.inputs}
         if "generate" in there and len(there) < len(report.inputs):
-            with TemporaryDirectory() as name:
+            with suppress(OSError), TemporaryDirectory() as name:  # a full disk, say, is none of the run's
                 run.planner.run(report, Path(name), there, Path(name), Console(quiet=True), 1, Here())
                 self.runner.so_far(Path(name))
 

@@ -138,7 +138,8 @@ def begun(job: Job) -> figures.EvaluationData:
     config, begin = job.config.evaluate, starts(job.config, job.plant)
 
     def series(table: Evaluate) -> dict[PredictorId, LoopSeries]:
-        loops = {c: _loops(job, table, c, exact, begin, slice(0, 1)) for c, exact in _exact(job).items()}
+        part = begin, slice(0, 1), lambda steps: None  # seconds need no line of progress
+        loops = {c: _loops(job, table, c, exact, *part) for c, exact in _exact(job).items()}
         shown = {c: behaviour.figure1(table, run) for c, run in loops.items()}
         return {c: LoopSeries(**{name: getattr(run, name) for name in behaviour.SERIES}) for c, run in shown.items()}
 
