@@ -3,7 +3,7 @@ PIPELINE ?= pipeline/paper.toml
 VENV := .venv
 BIN := $(VENV)/bin
 # CONSTRAINTS=constraints.txt installs the exact versions that were tested
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
+INSTALL := .ci/install $(BIN)/python $(if $(CONSTRAINTS),--constraint $(CONSTRAINTS))
 
 # where the machine has no C compiler, that of a package from PyPI
 ZIG := $(if $(shell command -v cc || command -v gcc || command -v clang),,ziglang)
@@ -64,9 +64,9 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e ".[identify,train]" $(ZIG)
+	$(INSTALL) -e ".[identify,train]" $(ZIG)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml $(if $(CONSTRAINTS),force) | $(BIN)/python
-	$(PIP) -e ".[dev]" $(ZIG)
+	$(INSTALL) -e ".[dev]" $(ZIG)
 	touch $@ $(VENV)/.installed

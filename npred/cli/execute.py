@@ -9,7 +9,7 @@ from npred.base import devices
 from npred.base.errors import ConfigError, room_on_disk, unlisted
 from npred.base.registry import declared_stage
 from npred.cli.options import Staged, Trains, Work, flag, writable_folder
-from npred.cli.report import free_path, publish, sign, write_figures
+from npred.cli.report import free_path, place, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
 from npred.lab.report.figures.style import MEDIA
 from npred.lab.report.terminal.console import Events, columns
@@ -107,8 +107,11 @@ def report(
     options.show(document, lambda: "\n".join(map(str, files)))
 
 
-def bring(options: Staged, targets: list[str], model: str | None = None, borrows: bool = False) -> list[Outcome]:
-    """The targets and all that they need, from the store or run; `borrows` as for Planner."""
+def bring(
+    options: Staged, targets: list[str], model: str | None = None, borrows: bool = False,
+    so_far: Callable[[Path], object] | None = None,
+) -> list[Outcome]:  # fmt: skip
+    """The targets and all that they need, from the store or run; `borrows` as for Planner, `so_far` for Runner."""
     needed, jobs, console = nodes(options.config, targets, model), options.jobs or devices.cores(), options.console
     with ExitStack() as stack:
         if folder := getattr(options, "tensorboard", None):
@@ -119,7 +122,7 @@ def bring(options: Staged, targets: list[str], model: str | None = None, borrows
         console.head(f"{options.config.name} on {planner.device}")
         remember(options.results, options.pipeline)  # also where the run is interrupted
         console.keep_log(options.store, options.pipeline.stem)
-        outcomes = Runner(console, jobs, executor).run(planner, needed)
+        outcomes = Runner(console, jobs, executor, so_far).run(planner, needed)
         for done in outcomes:
             if console.events and done.node.stage == "train" and done.action == "hit":
                 console.events.replay(done.node.title, done.artifact.folder / "metrics.jsonl")
@@ -136,9 +139,17 @@ def _work(options: Work, stage: str | None, model: str | None = None, output: Pa
         steps = _planner(options, targets).plan(nodes(options.config, targets, model))
         options.show(_document(steps, None), lambda: _table(options, steps))
         return
-    outcomes = bring(options, targets, model)
+    path = place(options, output) if "report" in targets else None
+
+    def written(folder: Path) -> Path | None:
+        return path and publish(options, folder, path, asked=output is not None)
+
+    def so_far(folder: Path) -> None:
+        options.console.note(f"the report so far, which stages complete as they end: {written(folder)}")
+
+    outcomes = bring(options, targets, model, so_far=so_far)
     final = [outcome for outcome in outcomes if outcome.node.stage in ([stage] if stage else ["evaluate", "bench"])]
-    page = publish(options, outcomes, output)
+    page = written(outcomes[-1].artifact.folder)
     if options.json:
         result: dict[str, object] = {}
         for outcome in final:

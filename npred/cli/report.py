@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from npred.base import json_files
 from npred.base.errors import ConfigError
 from npred.cli.options import Piped, Work
-from npred.lab.scheduler.runner import Outcome
 
 if TYPE_CHECKING:
     from npred.lab.report.figures.style import Style
@@ -28,19 +27,21 @@ HEAD = 2**16  # bytes of a page that its header is in
 FORMATS = ("pdf", "svg", "png")  # formats of each figure
 
 
-def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path | None:
-    """Copy the page to `output`, by default to the pipeline's name in the store, and name the pipeline that made it.
+def place(options: Work, output: Path | None) -> Path:
+    """The file of the page: `output`, by default the pipeline's name in the store.
 
-    Where that name is another pipeline's, the page gets a second one, and a line says so. A store that cannot be
-    written leaves the page where it is; None where no report was made. Raises ConfigError for an `output` that cannot
-    be written.
+    Where that name is another pipeline's, the page gets a second one, and a line says so.
     """
-    folders = [outcome.artifact.folder for outcome in outcomes if outcome.node.stage == "report"]
-    if not folders:
-        return None
-    folder, source = folders[-1], source_of(options)
-    path = output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
-    aside = path.with_name(path.name + ".part")
+    return output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
+
+
+def publish(options: Work, folder: Path, path: Path, asked: bool) -> Path:
+    """Copy the page of a report to its place, name the pipeline that made it, and give that place.
+
+    A store that cannot be written leaves the page where it is. Raises ConfigError for a place that was `asked` for and
+    cannot be written.
+    """
+    source, aside = source_of(options), path.with_name(path.name + ".part")
     flags = "".join(f" <code>--set {html.escape(override)}</code>" for override in options.set or [])
     # The comment that a pipeline file begins with: what it is for, such as a test whose numbers mean nothing
     lines = options.pipeline.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -53,7 +54,7 @@ def publish(options: Work, outcomes: list[Outcome], output: Path | None) -> Path
         aside.write_text(text, encoding="utf-8", errors="backslashreplace")
         aside.replace(path)  # a browser that reads it meanwhile sees the old page or the new one
     except OSError as error:
-        if output is None:
+        if not asked:
             return folder / NAME
         raise ConfigError(f"{path}: expected a file that can be written, got: {error.strerror}; name another") from None
     return path

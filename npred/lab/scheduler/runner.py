@@ -8,10 +8,12 @@ import heapq
 import json
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Self
 
 from npred.base.defaults import RESULT
@@ -170,11 +172,15 @@ class CellRun:
 
 @dataclass(frozen=True)
 class Runner:
-    """Brings the nodes of pipelines into the store; a stage in this process has `jobs` threads and the executor."""
+    """Brings the nodes of pipelines into the store; a stage in this process has `jobs` threads and the executor.
+
+    `so_far` gets a folder with the report of the results that there are, whenever one is added before the last.
+    """
 
     console: Console
     jobs: int
     executor: Workers = field(default_factory=Here)
+    so_far: Callable[[Path], object] | None = None
 
     def run(self, planner: Resolver, nodes: Iterable[Node]) -> list[Outcome]:
         """One outcome per node, in order; every result is verified. The networks of a pipeline train side by side.
@@ -246,6 +252,7 @@ class _Graph:
             try:
                 for run in runs:
                     self._ask(run)
+                self._report(runs[0])
                 while self.queue or self.under_way:
                     self._start()
                     for future in executors.ended(self.under_way) if self.under_way else ():
@@ -323,6 +330,18 @@ class _Graph:
         for run in self.takers.pop(task.question.key):
             self._take(run, outcome)
             self._ask(run)
+            self._report(run)
+
+    def _report(self, run: CellRun) -> None:
+        """Hand over the report of what a pipeline has so far, unless the report itself is next."""
+        report = next((node for node in run.nodes if node.stage == "report"), None)
+        if self.runner.so_far is None or report is None:
+            return
+        there = {name: outcome.artifact.folder for name, outcome in run.outcomes.items() if name in report.inputs}
+        if "generate" in there and len(there) < len(report.inputs):
+            with suppress(OSError), TemporaryDirectory() as name:  # a full disk, say, is none of the run's
+                run.planner.run(report, Path(name), there, Path(name), Console(quiet=True), 1, Here())
+                self.runner.so_far(Path(name))
 
     def _take(self, run: CellRun, outcome: Outcome) -> None:
         before = run.done

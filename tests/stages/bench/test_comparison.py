@@ -147,8 +147,24 @@ def test_quantiles_in_microseconds():
     assert found == {"median_us": 500.0, "p95_us": 950.0, "p999_us": 999.0, "max_us": 1000.0}
 
 
+@pytest.mark.parametrize(
+    ("lasts", "count"),
+    [
+        ([1000], 1000),  # µs; a tenth of ten seconds has room for a thousand
+        ([1000, 1010], 1000),
+        ([1000, 1200], 1104),  # the middle half spans 0.2 / 1.1 of the median: 24.6 times 0.1348, in per cent, squared
+        ([1000, 9000], 10_000),  # more than there is time for
+    ],
+)
+def test_calls_are_as_many_as_the_median_needs_and_a_tenth_of_the_time_holds(monkeypatch, lasts, count):
+    now, each = [0], itertools.cycle(lasts)
+    monkeypatch.setattr(timing.time, "perf_counter_ns", lambda: now[0])
+    found = timing.affordable(lambda k: now.__setitem__(0, now[0] + 1000 * next(each)), 10**6, 10.0)
+    assert found == pytest.approx(count, rel=0.01)
+
+
 def test_a_first_call_that_compiles_does_not_make_the_others_fewer(monkeypatch):
-    """Calls of 1 s, then of 1 ms: a tenth of a second has room for a hundred of them."""
+    """Calls of 1 s, then of 1 ms: a tenth of a second has room for a hundred of them, and needs ten."""
     now, lasts = [0], itertools.chain([10**9], itertools.repeat(10**6))
     monkeypatch.setattr(timing.time, "perf_counter_ns", lambda: now[0])
-    assert timing.affordable(lambda k: now.__setitem__(0, now[0] + next(lasts)), 1000, 0.1) == 100
+    assert timing.affordable(lambda k: now.__setitem__(0, now[0] + next(lasts)), 1000, 0.1) == timing.LEAST

@@ -5,6 +5,8 @@ import html
 import itertools
 import re
 import shutil
+import subprocess
+import sys
 import tomllib
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -12,8 +14,9 @@ from pathlib import Path
 
 import h5py
 import pytest
-from conftest import HERE, Call, document, one_line
-from jobs import job
+from conftest import HERE, Call, document, one_line, process_environment
+from jobs import SMALL, job
+from jobs import tables as job_tables
 from result_samples import BENCHED, END, ERRORS, RADIUS, evaluation, timing
 
 from npred import plants
@@ -98,6 +101,22 @@ def results(reported) -> PipelineResults:
     made = job(path.parent / "read", "report").plant
     folders = {name: done.artifact.folder for name, done in outcomes.items() if name != "report"}
     return PipelineResults(config.load(path), made, folders)
+
+
+def test_a_run_that_is_killed_in_training_leaves_a_page_of_its_data_and_the_numerical_loop(tmp_path: Path):
+    file, endless = tmp_path / "tiny.toml", {model: each | {"epochs": 10**6} for model, each in SMALL["train"].items()}
+    file.write_text(config.dumps({"name": "tiny"} | job_tables(train=endless)))
+    command = [sys.executable, "-m", "npred", "run", str(file), "--store", str(tmp_path / "store")]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=process_environment()) as run:
+        assert run.stderr is not None
+        said = next(line for line in run.stderr if "the report so far" in line)
+        run.kill()
+    text = (tmp_path / "store" / "tiny.html").read_text()
+    page = Page(text)
+    assert said.split()[-1] == str(tmp_path / "store" / "tiny.html")
+    assert "the run went on with: deeponet, fno, evaluate, bench." in text
+    assert [found["id"] for tag, found in page.elements if tag == "section"] == ["summary", "loop", "provenance"]
+    assert "no adaptation" in text and "DeepONet" not in text
 
 
 def test_what_an_evaluation_announces_is_checked_before_room_is_made(

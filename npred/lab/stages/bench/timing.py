@@ -12,6 +12,9 @@ ROUNDS = 10  # the machine's drift falls on all predictors alike
 STOP = 5000  # ns: reading the clock takes a hundredth of that
 LEAST = 10  # calls of a predictor, however long they take
 WARM_UP = 3
+PROBE = 100  # calls at most that show how much calls differ
+INTERVAL = 0.01  # half of the median's 95 % interval, as a share of the median: more calls would say no more
+SHARE = 0.1  # of the time that there is, which a predictor gets whatever its calls show: for the tail
 Call = Callable[[int], None]
 
 
@@ -42,9 +45,19 @@ def sample(
 
 
 def affordable(call: Call, count: int, seconds: float) -> int:
-    """The number of calls, at most `count`, that fit into `seconds` if each takes as long as the quickest warm-up."""
+    """The number of calls, at most `count`, that fit into `seconds` if each takes as long as the quickest warm-up.
+
+    No more than the median needs for an interval of INTERVAL, by how much the calls of a probe differ; but as many as
+    fit into SHARE of the time.
+    """
+    if np.isinf(seconds):
+        return count
     quickest = max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
-    return int(min(count, max(LEAST, seconds / quickest)))
+    few, most = (min(count, max(LEAST, share * seconds / quickest)) for share in (SHARE, 1.0))
+    low, median, high = np.quantile(_clock(call, range(int(min(few, PROBE)))), (0.25, 0.5, 0.75))
+    deviation = (high - low) / 1.349 / max(median, 1.0)
+    needed = (1.96 * 1.253 * deviation / INTERVAL) ** 2  # the median's error is 1.253 times that of the mean
+    return int(min(most, max(few, needed)))
 
 
 @contextmanager

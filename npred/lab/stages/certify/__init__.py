@@ -7,7 +7,7 @@ from npred.lab.scheduler.declaration import Slices, Stage
 
 STAGE = Stage(
     __name__,
-    version=13,
+    version=14,
     upstream=("generate", "train"),
     result_class="npred.lab.config.results:Certified",
     table_class="npred.lab.stages.certify.table:Certify",

@@ -14,6 +14,7 @@ from npred.lab.config.conditions import EVERY, Condition, Starts, starts
 from npred.lab.config.results import NO_ADAPTATION, NUMERICAL, Evaluated, PredictorId
 from npred.lab.config.results.evaluate import POOR, Coverage, KindErrors, KindSize, Scores
 from npred.lab.report import figures
+from npred.lab.report.figures.evaluation_data import LoopSeries
 from npred.lab.scheduler.job import Job
 from npred.lab.stages.evaluate import accuracy, behaviour
 from npred.lab.stages.report import tables
@@ -21,7 +22,7 @@ from npred.lab.training.data import shards
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import at_bound
-from npred.networks.fused import Fused, lowering
+from npred.networks.fused import Fused, coarsest, lowering
 from npred.networks.weights import read
 from npred.prediction.methods import Predictor, numerical
 
@@ -118,23 +119,45 @@ def _title(result: Evaluated) -> str:
 def load_network(job: Job, network_id: PredictorId) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
+    An FNO is evaluated on no more nodes than it needs to have those that it was trained on, with cubics between.
     A network that cannot be lowered is evaluated by torch.
     """
-    model, epoch, name = network_id.model, network_id.epoch, network_id.name
-    operator = read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
+    model, epoch, name, nx = network_id.model, network_id.epoch, network_id.name, job.config.evaluate.nx
+    table = job.config.train.table(model)
+    operator = read(job.inputs[model], job.plant, epoch, np.float64, table)
     if not lowering(operator) and epoch is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
     if job.device == "cpu" and lowering(operator):
-        return Fused(job.plant, operator, job.config.evaluate.nx, name, precision=np.float64)
-    return runtimes.predictor("torch", job.plant, operator, job.config.evaluate.nx, name, job.device)
+        stride = coarsest(nx, table.nodes - 1) if table.nodes else None
+        return Fused(job.plant, operator, nx, name, stride, np.float64)
+    return runtimes.predictor("torch", job.plant, operator, nx, name, job.device)
+
+
+def begun(job: Job) -> figures.EvaluationData:
+    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network."""
+    config, begin = job.config.evaluate, starts(job.config, job.plant)
+
+    def series(table: Evaluate) -> dict[PredictorId, LoopSeries]:
+        part = begin, slice(0, 1), lambda steps: None  # seconds need no line of progress
+        loops = {c: _loops(job, table, c, exact, *part) for c, exact in _exact(job).items()}
+        shown = {c: behaviour.figure1(table, run) for c, run in loops.items()}
+        return {c: LoopSeries(**{name: getattr(run, name) for name in behaviour.SERIES}) for c, run in shown.items()}
+
+    bounded, none = series(config.bounded) if config.bounded else {}, np.zeros(0)
+    return figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+
+
+def _exact(job: Job) -> dict[PredictorId, Predictor]:
+    """The numerical predictor, and the same without adaptation where something adapts."""
+    config = job.config.evaluate
+    exact = numerical(config.predictor, job.plant, config.nx)
+    adapts = config.adaptation != FROZEN and not job.plant.declares_delay
+    return {NUMERICAL: exact} | ({NO_ADAPTATION: exact} if adapts else {})
 
 
 def _predictors(job: Job) -> dict[PredictorId, Predictor]:
-    config = job.config.evaluate
-    exact = numerical(config.predictor, job.plant, config.nx)
-    predictors: dict[PredictorId, Predictor] = {NUMERICAL: exact}
-    if config.adaptation != FROZEN and not job.plant.declares_delay:
-        predictors[NO_ADAPTATION] = exact
+    config, predictors = job.config.evaluate, _exact(job)
+    exact = predictors[NUMERICAL]
     for model in job.config.train.models:
         for snapshot in [*job.config.train.table(model).snapshots, None]:
             network = load_network(job, PredictorId(model, snapshot))

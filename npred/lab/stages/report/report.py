@@ -28,7 +28,9 @@ from npred.lab.report.figures.latency import label
 from npred.lab.report.figures.style import short
 from npred.lab.report.figures.table import Table
 from npred.lab.scheduler.job import Job
+from npred.lab.scheduler.plan import nodes
 from npred.lab.stages.bench import bench
+from npred.lab.stages.evaluate import evaluate
 from npred.lab.stages.report import html_page, tables
 from npred.loop import metrics
 from npred.plants import Plant
@@ -50,15 +52,19 @@ CHAPTERS = (
 
 
 class PipelineResults:
-    """The results of the stages of one pipeline, read from their folders; all but certify have to be there."""
+    """The results of the stages of one pipeline that there are, read from their folders; generate has to be there."""
 
     def __init__(self, config: Pipeline, plant: Plant, folders: dict[str, Path]) -> None:
         self.config, self.plant = config, plant
         self.keys = {name: folder.name for name, folder in folders.items()}
         self.generated = Generated.read(folders["generate"])
-        self.trained = {name: Trained.read(folders[name]) for name in config.train.models}
-        self.evaluated, self.benched = Evaluated.read(folders["evaluate"]), Benched.read(folders["bench"])
-        self.evaluation = EvaluationData.read(folders["evaluate"], plant, config.evaluate, self.evaluated)
+        self.trained = {name: Trained.read(folders[name]) for name in config.train.models if name in folders}
+        self.benched = Benched.read(folders["bench"]) if "bench" in folders else None
+        self.evaluated: Evaluated | None = None
+        self.evaluation: EvaluationData | None = None
+        if "evaluate" in folders:
+            self.evaluated = Evaluated.read(folders["evaluate"])
+            self.evaluation = EvaluationData.read(folders["evaluate"], plant, config.evaluate, self.evaluated)
         lines = {name: json_files.read(folders[name] / "metrics.jsonl").splitlines() for name in self.trained}
         self.histories = {name: [*map(json_files.parse, each)] for name, each in lines.items()}
         self.certified: Certified | None = None
@@ -72,35 +78,29 @@ class PipelineResults:
     def figures(self) -> dict[str, Figure]:
         """Every figure by name, in order."""
         histories = dict(zip(ranked(map(PredictorId, self.histories)), self.histories.values(), strict=True))
-        every = [
-            figures.figure1_bounded(self.evaluation),
-            figures.figure1(self.evaluation),
-            figures.certificate(self.evaluation),
-            figures.errors(self.evaluation),
-            figures.kinds(self.evaluation),
-            figures.box(self.evaluation),
-            figures.delays(self.evaluation),
-            figures.scenarios(self.plant, self.evaluated.scenarios),
+        every: list[Figure | None] = []
+        if self.evaluation:
+            every += [figures.figure1_bounded(self.evaluation), figures.figure1(self.evaluation)]
+        if self.evaluation and self.evaluated:
+            of_loops = (figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays)
+            every += [draw(self.evaluation) for draw in of_loops]
+            every += [figures.scenarios(self.plant, self.evaluated.scenarios), figures.coverage(self.evaluation)]
+        every += [
             figures.certified(self.plant, self.certified, self.rollout_errors),
-            figures.learning(histories),
-            figures.speed(self.benched.rows),
-            figures.coverage(self.evaluation),
+            figures.learning(histories) if histories else None,
+            figures.speed(self.benched.rows) if self.benched else None,
         ]
         return {figure.name: figure for figure in every if figure}
 
     def tables(self) -> dict[str, Table]:
         """Every table by name, in order."""
-        every = [
-            tables.accuracy(self.evaluated),
-            tables.kinds(self.evaluated),
-            tables.loops(self.evaluated),
-            tables.scenarios(self.plant, self.evaluated),
-            self.certified and tables.certified(self.certified),
-            tables.training(self.trained),
-            tables.speed(self.benched.rows),
-            tables.by_dx(self.benched.rows),
-            tables.outside(self.plant, self.evaluated.coverage),
-        ]
+        every: list[Table | None] = [self.certified and tables.certified(self.certified), tables.training(self.trained)]
+        if self.evaluated:
+            every += [make(self.evaluated) for make in (tables.accuracy, tables.kinds, tables.loops)]
+            every.append(tables.scenarios(self.plant, self.evaluated))
+            every.append(tables.outside(self.plant, self.evaluated.coverage))
+        if self.benched:
+            every += [tables.speed(self.benched.rows), tables.by_dx(self.benched.rows)]
         return {table.name: table for table in every if table}
 
 
@@ -108,31 +108,40 @@ def run(job: Job) -> Reported:
     """Write report.html from the results of the other stages; the same bytes for the same results.
 
     Inline SVG, style and script; nothing is loaded. Its three sentences are in the result, and
-    before them a caution where no network is good.
+    before them a caution where no network is good. While a run goes on, it is written of the results that there are,
+    and of the loop with the numerical predictor, and says what follows.
     """
     results = PipelineResults(job.config, job.plant, job.inputs)
     job.progress.doing("report", "drawing")
-    text, caution = sentences(job.plant, results.evaluated, results.benched), results.evaluated.caution
+    text, caution = sentences(job.plant, results.evaluated, results.benched), ""
+    if results.evaluated:
+        caution = results.evaluated.caution
+    else:
+        results.evaluation = evaluate.begun(job)
+    if follow := [name for name in nodes(job.config, ["report"])[-1].inputs if name not in job.inputs]:
+        caution = f"This page is not complete. When it was written, the run went on with: {', '.join(follow)}."
     drawn, tabulated = results.figures(), results.tables()
     chapters = [
         {
             "id": name,
             "title": title,
             "figures": [drawn[each] for each in shown if each in drawn],
-            "notes": bench.sentences(results.benched) if name == "speed" else [],
+            "notes": bench.sentences(results.benched) if results.benched and name == "speed" else [],
             "tables": [tabulated[each] for each in below if each in tabulated],
         }
         for name, title, shown, below in CHAPTERS
         if drawn.keys() & {*shown}
     ]
-    config, plant, hardware = job.config, job.plant, results.benched.hardware
+    config, plant = job.config, job.plant
     parameters = {name: f"{value:g}" for name, value in plant.parameters.items()}
     data = {"samples": results.generated.samples, "rollouts": results.generated.rollouts}
     facts = {
         "Question": {"pipeline": config.name, "seed": config.seed, "plant": plant.name} | parameters | data,
         "Results": results.keys,
-        "Machine": hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions,
     }
+    if results.benched:
+        hardware = results.benched.hardware
+        facts["Machine"] = hardware.model_dump(exclude={"versions"}, exclude_unset=True) | hardware.versions
     page = html_page.filled(
         html_page.text("page.html"),
         name=config.name,
@@ -189,10 +198,13 @@ def _about(plant: Plant, config: Evaluate) -> Iterator[str]:
         yield "the simulated plant is not the controller's model"
 
 
-def sentences(plant: Plant, evaluated: Evaluated, benched: Benched) -> list[str]:
-    """A run in three sentences with their numbers: the error, the closed loop, the time of a call."""
-    networks = [each for each in evaluated.models if each.is_network and each.epoch is None]
-    return [_errors(evaluated, networks), _loops(plant, evaluated, networks), _speed(benched)]
+def sentences(plant: Plant, evaluated: Evaluated | None, benched: Benched | None) -> list[str]:
+    """A run in up to three sentences with their numbers: the error, the closed loop, the time of a call."""
+    said = []
+    if evaluated:
+        networks = [each for each in evaluated.models if each.is_network and each.epoch is None]
+        said += [_errors(evaluated, networks), _loops(plant, evaluated, networks)]
+    return [*said, _speed(benched)] if benched else said
 
 
 def _errors(evaluated: Evaluated, networks: list[PredictorId]) -> str:
