@@ -96,23 +96,24 @@ def _vector(inner: Any) -> np.ndarray:
 
 def record(
     path: Path | str, env: gym.Env, policy: Callable[[Any], Any], delays: Sequence[int], *, rows: int = 20000,
-    episodes: int = 40, noise: float = 0.1, state: State | None = None, nx: int = 9, seed: int = 0,
+    episodes: int = 100, steps: int = 250, noise: float = 0.1, state: State | None = None, nx: int = 9, seed: int = 0,
 ) -> None:  # fmt: skip
-    """Write data for `[generate] data`: `rows` of what comes of each state over the delays, in control steps.
+    """Write data for `[generate] data`: `rows` at most of what comes of a state over the delays, in control steps.
 
-    The policy acts without delay, with normal noise on its actions of up to `noise` half ranges, from none in the first
-    episode on; every tenth episode is held out. States between control steps are those of a cubic.
+    The policy acts without delay for up to `steps`, with normal noise on its actions of up to `noise` half ranges, from
+    none in the first episode on; every tenth episode is held out. Rows are dense at the begin of episodes, where these
+    differ most. States between control steps are those of a cubic.
     """
     from npred.lab.training.data.dataset import Dataset
 
     rng, dt, tell = randomness.generator(seed, "record"), environment.control_step(env), state or state_of(env)
     columns: dict[str, list[Any]] = {name: [] for name in Dataset.__dataclass_fields__}
     for episode in range(episodes):
-        seen, X, u = _episode(env, policy, noise * episode / episodes, seed + episode, rng)
-        count = -(-rows // episodes)
-        for first, d in zip(rng.integers(0, max(len(u) - max(delays), 1), count), rng.choice(delays, count), strict=True):
-            if first + d > len(u):
+        seen, X, u = _episode(env, policy, noise * episode / episodes, steps, seed + episode, rng)
+        for d in rng.choice(delays, rows // episodes):
+            if (room := len(u) - d) < 0:
                 continue
+            first = int(rng.random() ** 2 * (room + 1))
             ahead = X[first : first + d + 1]
             shifted = ahead + (np.hstack(tell(seen[first])) - ahead[0])
             pieces = [Piece(action, 1.0) for action in u[first : first + d]]
@@ -126,13 +127,13 @@ def record(
 
 
 def _episode(
-    env: gym.Env, policy: Callable[[Any], Any], noise: float, seed: int, rng: np.random.Generator
+    env: gym.Env, policy: Callable[[Any], Any], noise: float, steps: int, seed: int, rng: np.random.Generator
 ) -> tuple[list[Any], np.ndarray, np.ndarray]:
     """Observations, states (k + 1, n) and actions (k, m) of an episode."""
     space: Any = env.action_space
     observation, _ = env.reset(seed=seed)
     seen, X, u, over = [observation], [_vector(env.unwrapped)], [], False
-    while not over:
+    while not over and len(u) < steps:
         spread = noise * rng.standard_normal(space.shape) * (space.high - space.low) / 2
         action = np.clip(policy(observation) + spread, space.low, space.high).astype(space.dtype)
         observation, _, terminated, truncated, _ = env.step(action)
