@@ -1,6 +1,6 @@
 """Policies whose actions act late, and what makes up for it: seven of Gymnasium's environments.
 
-    python benchmarks/policies.py train                      policies by Stable-Baselines3, those without a file yet
+    python benchmarks/policies.py train [NAME ...]           policies by Stable-Baselines3, those without a file yet
     python benchmarks/policies.py networks [NAME ...]        a DeepONet each, in the folder --work
     python benchmarks/policies.py table [NAME ...]           returns, over five seeds
     python benchmarks/policies.py held                       the exact simulator if the robot is held at the start
@@ -119,7 +119,7 @@ class Policy:
         stored = np.load(path)
         self.about = json.loads(str(stored["about"]))
         self.layers = [(stored[f"W{i}"].astype(float), stored[f"b{i}"].astype(float)) for i in range(3)]
-        self.mean, self.std = (stored[k] if k in stored else None for k in ("mean", "std"))
+        self.mean, self.std = (stored.get(k) for k in ("mean", "std"))
         self.low, self.high = stored["low"], stored["high"]
 
     def __call__(self, observation):
@@ -174,7 +174,12 @@ def wrong(twin: Any) -> None:
     if not environment.of_mujoco(twin):
         twin.m *= WRONG
         return
-    for name, factor in {"body_mass": WRONG, "body_inertia": WRONG, "geom_friction": 1 / WRONG, "dof_damping": 1 / WRONG}.items():
+    for name, factor in {
+        "body_mass": WRONG,
+        "body_inertia": WRONG,
+        "geom_friction": 1 / WRONG,
+        "dof_damping": 1 / WRONG,
+    }.items():
         getattr(twin.model, name)[:] *= factor
 
 
@@ -350,11 +355,66 @@ def held(asked: Any) -> None:
         harness.row(name, task.kept(task.best), task.kept(task.returns(env, Ahead(task.policy, env))))
 
 
+LAG, JOINTS = 0.12, 7  # s
+
+
+class Follower(gym.Env):
+    """Joints that follow the positions sent to them every 20 ms with a lag, and the time; they pay the error."""
+
+    dt, action_space = 0.02, gym.spaces.Box(-2.0, 2.0, (JOINTS,))
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (JOINTS + 1,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = np.append(self.np_random.uniform(-0.5, 0.5, JOINTS), 0.0)
+        return self.state.copy(), {}
+
+    def step(self, action):
+        q, t = self.state[:-1], self.state[-1]
+        self.state = np.append(action + (q - action) * np.exp(-self.dt / LAG), t + self.dt)
+        error = self.state[:-1] - wave(self.state[-1])[0]
+        return self.state.copy(), -float(error @ error), False, t > 10.0, {}
+
+
+def wave(t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where the joints are to be, and their speeds."""
+    rates = 1.5 + 0.5 * np.arange(JOINTS)
+    return np.sin(rates * t), rates * np.cos(rates * t)
+
+
+def track(observation: np.ndarray) -> np.ndarray:
+    """The positions that bring the joints to the wave, without delay."""
+    goal, speed = wave(observation[-1])
+    return np.clip(observation[:-1] + LAG * (speed + 4 * (goal - observation[:-1])), -2, 2).astype(np.float32)
+
+
+def follower(asked: Any) -> None:
+    """Print the rms error of such joints at 80 ms, where the state is stale, the last action, and predicted."""
+    joints = [f"q{k}" for k in range(JOINTS)]
+    plant = npred.plant(type("Joints", (), {
+        "states": (*joints, "time"), "inputs": tuple(f"u{k}" for k in range(JOINTS)),
+        "f": lambda x, u, t, p, M: [(u[k] - x[k]) / LAG for k in range(JOINTS)] + [1.0 + 0.0 * x[0]],
+        "kappa": lambda x, t, p, M: [x[k] for k in range(JOINTS)],
+    }))  # fmt: skip
+    env = DelayedActions(Follower(), 0.08, unit="s")
+    last = lambda o, pieces: np.append(pieces[-1].action, o[-1] + env.delay * Follower.dt)  # noqa: E731
+    bare = lambda o, info: track(o)  # noqa: E731
+    ways = {"without delay": (Follower(), bare), "late": (env, bare), "action as state": (env, Ahead(track, env, last))}
+    ways |= {"simulator": (env, Ahead(track, env)), "plant of npred": (env, Ahead(track, env, plant))}
+    harness.head("way to act", "rms error, rad: median (range)")
+    for title, (around, act) in ways.items():
+        errors = []
+        for seed in SEEDS:
+            getattr(act, "reset", lambda: None)()
+            errors.append(np.sqrt(-episode(around, act, seed) / 501 / JOINTS))
+        harness.row(title, f"{np.median(errors):.4f} ({min(errors):.4f} … {max(errors):.4f})")
+
+
 def train_all(asked: Any) -> None:
     """Train what has no file yet."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for delay in (0, TRAINED_DELAY):
-        for name in TRAINING:
+        for name in asked.names:
             if not (path := FOLDER / f"{name}-{delay}.npz").exists():
                 arrays, about = train(name, delay)
                 np.savez_compressed(path, about=json.dumps(about), **arrays)
@@ -365,10 +425,8 @@ def train_all(asked: Any) -> None:
 
 
 if __name__ == "__main__":
-    commands = {"train": train_all, "networks": networks, "table": table, "held": held}
-    asked = harness.options(
-        __doc__, {"command": ..., "names": NAMES}, work=Path("policies"), rows=20000, epochs=100
-    )
+    commands = {"train": train_all, "networks": networks, "table": table, "held": held, "follower": follower}
+    asked = harness.options(__doc__, {"command": ..., "names": NAMES}, work=Path("policies"), rows=20000, epochs=100)
     if asked.command not in commands:
         raise SystemExit(f"policies.py: expected {', '.join(commands)}, got {asked.command}")
     commands[asked.command](asked)

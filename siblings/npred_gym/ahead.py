@@ -14,10 +14,10 @@ from npred.prediction.methods import Predictor
 from npred_gym import environment
 from npred_gym.delayed import DelayedActions, layer
 from npred_gym.model import Model
-from npred_gym.path import Path, Piece
+from npred_gym.path import HeldAction, Path
 from npred_gym.simulator import Simulator
 
-Prediction = Callable[[Any, Sequence[Piece]], Any]
+Prediction = Callable[[Any, Sequence[HeldAction]], Any]
 HINT = "give control steps, or what npred identify says of a recording"
 
 
@@ -58,10 +58,10 @@ class Ahead:
         if "arrived" in info:
             self._hear(info["arrived"], now)
         age = info.get("observation_age", min(len(path), self.observation_delay))
-        seen, acts = now - age * self.substeps, now + path.ticks(self.delay)
-        pieces = path.pieces(seen, acts)
+        since, acts = now - age * self.substeps, now + path.ticks(self.delay)
+        pieces = path.pieces(since, acts)
         action = self.policy(self.predictor(observation, pieces) if pieces else observation)
-        path.forget(seen)
+        path.forget(since)
         path.send(action, acts)
         return action
 

@@ -12,7 +12,7 @@ from npred.base import grid, randomness
 from npred.base.errors import ConfigError
 from npred_gym import environment
 from npred_gym.model import nodes
-from npred_gym.path import Piece
+from npred_gym.path import HeldAction
 from npred_gym.states import State, state_of
 
 RESETS = 32  # from which the box of initial states is taken
@@ -31,8 +31,7 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
     if not environment.of_mujoco(inner) or inner.model.na or inner.model.nq != inner.model.njnt:
         what = "expected an environment of MuJoCo, hinges and slides, and actuators without a state"
         raise ConfigError(f"plant: {what}, got {inner}; declare a plant with f")
-    import mujoco
-
+    mujoco = environment.engine()
     space, alone, tell = env.action_space, Lock(), state or state_of(env)
     starts = np.array([_reset(env, seed) for seed in range(RESETS)])
     other = environment.twin(env)
@@ -58,17 +57,17 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
 
     def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
         P, (begin, end) = np.repeat(X[:, None], u.shape[1], axis=1), grid.lines(u)
-        own = model.opt.timestep
+        file_step = model.opt.timestep
         with alone:
             for row, held, D in zip(P, (begin + end) / 2, D_hat, strict=True):
-                count = max(1, round(D / (len(row) - 1) / own))
+                count = max(1, round(D / (len(row) - 1) / file_step))
                 model.opt.timestep = D / (len(row) - 1) / count
                 environment.place(other, (row[0, :n], row[0, n:]))
                 for k, action in enumerate(held if D else ()):
                     data.ctrl = action
                     mujoco.mj_step(model, data, count)
                     row[k + 1] = np.concatenate([data.qpos, data.qvel])
-            model.opt.timestep = own
+            model.opt.timestep = file_step
         return P
 
     names = [model.joint(k).name or f"q{k}" for k in range(n)]
@@ -109,14 +108,14 @@ def record(
     rng, dt, tell = randomness.generator(seed, "record"), environment.control_step(env), state or state_of(env)
     columns: dict[str, list[Any]] = {name: [] for name in Dataset.__dataclass_fields__}
     for episode in range(episodes):
-        seen, X, u = _episode(env, policy, noise * episode / episodes, steps, seed + episode, rng)
+        observations, X, u = _episode(env, policy, noise * episode / episodes, steps, seed + episode, rng)
         for d in rng.choice(delays, rows // episodes):
             if (room := len(u) - d) < 0:
                 continue
             first = int(rng.random() ** 2 * (room + 1))
             ahead = X[first : first + d + 1]
-            shifted = ahead + (np.hstack(tell(seen[first])) - ahead[0])
-            pieces = [Piece(action, 1.0) for action in u[first : first + d]]
+            shifted = ahead + (np.hstack(tell(observations[first])) - ahead[0])
+            pieces = [HeldAction(action, 1.0) for action in u[first : first + d]]
             row = shifted[0], nodes(pieces, nx), d * dt, grid.refine(shifted, nx), d * dt, first * dt
             for name, value in zip(columns, (*row, episode, episode % 10 == 9), strict=True):
                 columns[name].append(value)
@@ -132,12 +131,12 @@ def _episode(
     """Observations, states (k + 1, n) and actions (k, m) of an episode."""
     space: Any = env.action_space
     observation, _ = env.reset(seed=seed)
-    seen, X, u, over = [observation], [_vector(env.unwrapped)], [], False
+    observations, X, u, over = [observation], [_vector(env.unwrapped)], [], False
     while not over and len(u) < steps:
         spread = noise * rng.standard_normal(space.shape) * (space.high - space.low) / 2
         action = np.clip(policy(observation) + spread, space.low, space.high).astype(space.dtype)
         observation, _, terminated, truncated, _ = env.step(action)
         over = terminated or truncated
-        for column, value in ((seen, observation), (X, _vector(env.unwrapped)), (u, action)):
+        for column, value in ((observations, observation), (X, _vector(env.unwrapped)), (u, action)):
             column.append(value)
-    return seen, np.array(X), np.array(u)
+    return observations, np.array(X), np.array(u)

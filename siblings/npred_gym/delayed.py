@@ -72,11 +72,12 @@ class DelayedActions(gym.Wrapper, gym.utils.RecordConstructorArgs):
         path.send(_action(action, self.first), begin + path.ticks(self._next()))
         came = {path.dropped + k: a / self.substeps for k, a in enumerate(path.arrivals) if begin <= a < end}
         if self.held and path.acting(begin) < 0:
-            observation, reward, *ends, info = self._observed[-1][0], 0.0, False, False, {"held": True}
+            outcome = self._observed[-1][0], 0.0, False, False, {"held": True}
         else:
-            observation, reward, *ends, info = environment.step(self.env, path.pieces(begin, end))
+            outcome = environment.step(self.env, path.pieces(begin, end))
         path.forget(begin)
-        return self._observe(observation), reward, *ends, info | self._about(end - 1, came)
+        observation, reward, terminated, truncated, info = outcome
+        return self._observe(observation), reward, terminated, truncated, info | self._about(end - 1, came)
 
     def _next(self) -> float:
         """The delay of the next action in control steps. Raises ConfigError for one below 0."""
@@ -92,8 +93,8 @@ class DelayedActions(gym.Wrapper, gym.utils.RecordConstructorArgs):
         """The newest observation that has arrived; `measured` is the simulator's state when it was taken."""
         self._observed.append((observation, environment.snapshot(self.env.unwrapped)))
         del self._observed[: -1 - self.observation_delay]
-        seen, self.measured = self._observed[0]
-        return copy.deepcopy(seen)
+        oldest, self.measured = self._observed[0]
+        return copy.deepcopy(oldest)
 
     def _about(self, tick: int, came: dict[int, float]) -> dict[str, Any]:
         path = self.path

@@ -7,8 +7,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from npred.base.errors import ConfigError
-from npred_gym.path import Piece
+from npred.base.errors import ConfigError, required
+from npred_gym.path import HeldAction
+
+
+def engine() -> Any:
+    """The package mujoco, which is imported where it is needed: an environment without it is none of MuJoCo's."""
+    return required("npred_gym", "mujoco", "mujoco", "gym")
 
 
 def of_mujoco(inner: Any) -> bool:
@@ -17,13 +22,13 @@ def of_mujoco(inner: Any) -> bool:
 
 
 def substeps(env: gym.Env) -> int:
-    """The simulator's steps in a control step. Raises ConfigError for a wrapper that changes actions or observations."""
+    """The simulator's steps in a control step. Raises ConfigError for wrappers that change actions or observations."""
     while isinstance(env, gym.Wrapper):
         if isinstance(env, gym.ActionWrapper | gym.ObservationWrapper):
             what = "expected around the delay or in the policy, got it around the plant"
             raise ConfigError(f"{type(env).__name__}: {what}; move it")
         env = env.env
-    return env.frame_skip if of_mujoco(env) else 1
+    return getattr(env, "frame_skip", 1) if of_mujoco(env) else 1
 
 
 def control_step(env: gym.Env) -> float:
@@ -37,8 +42,7 @@ def snapshot(inner: Any) -> Any:
     """All that the next step depends on but the action: MuJoCo's state, or the attribute; None without either."""
     if not of_mujoco(inner):
         return copy.copy(getattr(inner, "state", None))
-    import mujoco
-
+    mujoco = engine()
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     values = np.empty(mujoco.mj_stateSize(inner.model, kind))
     mujoco.mj_getState(inner.model, inner.data, values, kind)
@@ -46,13 +50,12 @@ def snapshot(inner: Any) -> Any:
 
 
 def twin(env: gym.Env) -> Any:
-    """An environment of the same kind with model and state of its own, and no window."""
+    """An environment of the same kind with another state, and a copy of the model; no window."""
     inner: Any = env.unwrapped
     other = copy.copy(inner)
     other.render_mode = None
     if of_mujoco(inner):
-        import mujoco
-
+        mujoco = engine()
         other.model = copy.copy(inner.model)
         other.data = mujoco.MjData(other.model)
     elif getattr(inner, "state", None) is None:
@@ -64,8 +67,7 @@ def twin(env: gym.Env) -> Any:
 def put(other: Any, values: Any) -> None:
     """Set a twin to a snapshot."""
     if of_mujoco(other):
-        import mujoco
-
+        mujoco = engine()
         mujoco.mj_setState(other.model, other.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)
     else:
         other.state = copy.copy(values)
@@ -74,15 +76,14 @@ def put(other: Any, values: Any) -> None:
 def place(other: Any, state: Any) -> None:
     """Set a twin to a state: (qpos, qvel) of MuJoCo, or the attribute."""
     if of_mujoco(other):
-        import mujoco
-
+        mujoco = engine()
         mujoco.mj_resetData(other.model, other.data)
         other.set_state(*(np.asarray(part, dtype=float) for part in state))
     else:
         other.state = np.asarray(state, dtype=float)
 
 
-def roll(other: Any, pieces: Sequence[Piece]) -> Any:
+def roll(other: Any, pieces: Sequence[HeldAction]) -> Any:
     """The observation of a twin after one piece or more."""
     if not of_mujoco(other):
         return [other.step(action)[0] for action, steps in pieces for _ in range(round(steps))][-1]
@@ -91,7 +92,7 @@ def roll(other: Any, pieces: Sequence[Piece]) -> Any:
     return other._get_obs()
 
 
-def step(env: gym.Env, pieces: Sequence[Piece]) -> tuple[Any, ...]:
+def step(env: gym.Env, pieces: Sequence[HeldAction]) -> tuple[Any, ...]:
     """A control step in which the action may change: the reward is that of the last action."""
     if len(pieces) == 1:
         return env.step(pieces[0].action)

@@ -8,7 +8,7 @@ import numpy as np
 NEARLY = 1e-9  # of a substep: the rounding of a delay in seconds
 
 
-class Piece(NamedTuple):
+class HeldAction(NamedTuple):
     """An action, and for how many control steps it acts; a fraction is whole substeps of the simulator."""
 
     action: np.ndarray
@@ -47,12 +47,12 @@ class Path:
         """The action that acts at a substep."""
         return self.actions[k] if (k := self.acting(tick)) >= 0 else self.first
 
-    def pieces(self, begin: int, end: int) -> list[Piece]:
+    def pieces(self, begin: int, end: int) -> list[HeldAction]:
         """What acts from one substep to another."""
         changes = [begin, *sorted({a for a in self.arrivals if begin < a < end}), end]
         spans = zip(changes, changes[1:], strict=False)
         acting = [(self.action(a), (b - a) / self.substeps) for a, b in spans if b > a]
-        return [Piece(*each) for each in acting if each[0] is not None]
+        return [HeldAction(*each) for each in acting if each[0] is not None]
 
     def forget(self, tick: int) -> None:
         """Drop what does not act from a substep on."""

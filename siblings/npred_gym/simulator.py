@@ -8,7 +8,7 @@ import gymnasium as gym
 
 from npred_gym import environment
 from npred_gym.delayed import layer
-from npred_gym.path import Piece
+from npred_gym.path import HeldAction
 
 
 class Simulator:
@@ -34,7 +34,7 @@ class Simulator:
             self.change(other)
         return other
 
-    def __call__(self, observation: Any, pieces: Sequence[Piece]) -> Any:
+    def __call__(self, observation: Any, pieces: Sequence[HeldAction]) -> Any:
         """The observation at the end of the pieces."""
         if self.state is not None:
             environment.place(self.twin, self.state(observation))

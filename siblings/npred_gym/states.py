@@ -9,7 +9,7 @@ import numpy as np
 from npred.base.errors import ConfigError
 from npred_gym.environment import of_mujoco
 
-State = Callable[[np.ndarray], tuple[np.ndarray, ...] | np.ndarray]
+State = Callable[[np.ndarray], Any]  # (qpos, qvel), or the attribute state
 
 
 def reacher(o: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -12,7 +12,6 @@ pytest.importorskip("mujoco")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-import npred  # noqa: E402
 import npred_gym  # noqa: E402
 from npred.base.errors import ConfigError, NpredError  # noqa: E402
 from npred_gym import Ahead, DelayedActions, Simulator, state_of  # noqa: E402
@@ -141,7 +140,7 @@ def test_a_state_is_read_from_an_observation(name):
     observation, *_ = env.step(policy(observation))
     action = policy(observation)
     expected, *_ = env.step(action)
-    got = simulator(observation, [npred_gym.path.Piece(action, 1.0)])
+    got = simulator(observation, [npred_gym.path.HeldAction(action, 1.0)])
     at = slice(0, 8) if name == "InvertedDoublePendulum-v5" else slice(None)  # the last is a force
     np.testing.assert_allclose(got[at], expected[at], atol=1e-5)
 
