@@ -21,6 +21,7 @@ RESETS = 32  # from which the box of initial states is taken
 def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None = None) -> type:
     """The class of a black box: the states are those of the joints, with their speeds, and the law is the policy.
 
+    It need not come to rest; where it does, say `rests = True`, and `npred run` also evaluates its loops.
     Derive the plant of a file from it: `class Hopper(npred_gym.plant("Hopper-v5", policy)): pass`. X' is mj_forward's,
     `rollout` takes the simulator's own steps, as many as make one of its time step at most; the box is that of 32
     resets. `state(observation)` gives (qpos, qvel), for Gymnasium's own environments by default.
@@ -74,6 +75,7 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
     names += [f"{name}_rate" for name in names]
     return type(type(inner).__name__.removesuffix("Env"), (), {
         "__doc__": f"{inner.spec.id if inner.spec else inner} under a policy, a black box.", "traced": False,
+        "rests": False,
         "states": tuple(names),
         "inputs": tuple(f"u_{model.actuator(k).name or k}" for k in range(model.nu)),
         "input_bounds": tuple(zip(space.low.tolist(), space.high.tolist(), strict=True)),  # type: ignore[attr-defined]

@@ -180,8 +180,7 @@ def _require(fit: PipelineFit, case: Case) -> None:
     if case.takes_V and not plant.declares_V:
         raise ConfigError(f"{undeclared(plant)}; {DECLARE}")
     ask("finite")
-    if any(loop.simulated for loop in fit.loops.values()):  # samples of a file need no loop that settles
-        ask("stability")
+    ask("stability")
     if "evaluate" in fit.stages:
         ask("reference")
     models = pipeline.train.models if "train" in fit.stages else []

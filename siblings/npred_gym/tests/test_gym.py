@@ -12,9 +12,13 @@ pytest.importorskip("mujoco")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
+import npred  # noqa: E402
 import npred_gym  # noqa: E402
+from npred.base import grid  # noqa: E402
 from npred.base.errors import ConfigError, NpredError  # noqa: E402
+from npred.lab.training.data.dataset import Dataset  # noqa: E402
 from npred_gym import Ahead, DelayedActions, Simulator, state_of  # noqa: E402
+from npred_gym.path import HeldAction  # noqa: E402
 
 ALL = ("Pendulum-v1", "InvertedPendulum-v5", "InvertedDoublePendulum-v5", "Reacher-v5", "Swimmer-v5", "HalfCheetah-v5",
        "Hopper-v5")  # fmt: skip
@@ -140,9 +144,63 @@ def test_a_state_is_read_from_an_observation(name):
     observation, *_ = env.step(policy(observation))
     action = policy(observation)
     expected, *_ = env.step(action)
-    got = simulator(observation, [npred_gym.path.HeldAction(action, 1.0)])
+    got = simulator(observation, [HeldAction(action, 1.0)])
     at = slice(0, 8) if name == "InvertedDoublePendulum-v5" else slice(None)  # the last is a force
     np.testing.assert_allclose(got[at], expected[at], atol=1e-5)
+
+
+PLANT = """
+import numpy as np
+import npred_gym
+
+
+def policy(observation):
+    return np.clip([0.722, 6.83, 0.923, 1.084] @ observation, -3, 3)[None].astype(np.float32)
+
+
+class Cart(npred_gym.plant("InvertedPendulum-v5", policy)):
+    pass
+"""
+
+
+@pytest.fixture(scope="module")
+def cart(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plant") / "cart.py"
+    path.write_text(PLANT)
+    return npred.plant(f"{path}:Cart")
+
+
+def test_a_black_box_predicts_what_the_environment_does(cart):
+    env = gym.make("InvertedPendulum-v5")
+    observation, _ = env.reset(seed=2)
+    pieces = [HeldAction(np.array([u], np.float32), steps) for u, steps in ((1.0, 1.0), (-0.5, 1.5), (2.0, 0.5))]
+    expected = Simulator(env)(observation, pieces)
+    for predictor in (npred.predictor(cart, "rollout", nx=9), npred.predictor(cart, "rk4", nx=9)):
+        np.testing.assert_allclose(npred_gym.Model(predictor, env)(observation, pieces), expected, atol=1e-4)
+    with pytest.raises(ConfigError, match="expected a plant or a predictor"):
+        npred_gym.Model(lambda o: o, env)
+
+
+def test_cells_keep_the_mean_of_the_actions():
+    pieces = [HeldAction(np.array([u]), steps) for u, steps in ((1.0, 1.0), (-2.0, 2.0), (4.0, 1.0))]
+    u = npred_gym.model.nodes(pieces, 9)
+    assert np.dot(grid.trapezoid(9), u[:, 0]) == pytest.approx((1.0 - 4.0 + 4.0) / 4)
+    assert u[0] == 1.0 and u[4] == -2.0 and u[2] == -0.5
+
+
+def test_recorded_loops_are_data_of_the_plant(cart, tmp_path):
+    env = gym.make("InvertedPendulum-v5")
+    policy = cart.declaration.kappa
+    act = lambda o: policy(o[None], 0.0, None)[0].astype(np.float32)
+    npred_gym.record(tmp_path / "a.h5", env, act, (2, 4), rows=200, episodes=10, steps=30)
+    data = Dataset.read(tmp_path / "a.h5")
+    data.fit(cart)
+    assert set(np.round(data.D_hat / 0.04)) == {2, 4} and 0 < data.test.sum() < len(data)
+    exact = npred.predictor(cart, "rollout", nx=9)
+    held = np.ptp(data.u, axis=(1, 2)) < 0.05  # such inputs are read between nodes as they were
+    assert held.sum() > 20
+    P = exact(data.X[held], data.u[held], data.D_hat[held])[:, -1]
+    np.testing.assert_allclose(P, data.P[held, -1], atol=5e-3)
 
 
 CART = "InvertedPendulum-v5"
