@@ -1,7 +1,7 @@
 """A policy that is asked about the moment when its action acts."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,10 +14,9 @@ from npred.prediction.methods import Predictor
 from npred_gym import environment
 from npred_gym.delayed import DelayedActions, layer
 from npred_gym.model import Model
-from npred_gym.path import HeldAction, Path
+from npred_gym.path import Path
 from npred_gym.simulator import Simulator
 
-Prediction = Callable[[Any, Sequence[HeldAction]], Any]
 HINT = "give control steps, or what npred identify says of a recording"
 
 
@@ -43,9 +42,8 @@ class Ahead:
         self.observation_delay = late.observation_delay if late else 0
         first = late.first if late else 0 * env.action_space.low  # type: ignore[attr-defined]
         self.first = None if late and late.held else first
-        if predictor is None:
-            predictor = Simulator(env)
-        self.predictor: Prediction = Model(predictor, env) if isinstance(predictor, Plant | Predictor) else predictor
+        is_model = isinstance(predictor, Plant | Predictor)
+        self.predictor: Callable[..., Any] = Model(predictor, env) if is_model else predictor or Simulator(env)
         self.reset()
 
     def reset(self) -> None:

@@ -38,15 +38,11 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
     other = environment.twin(env)
     model, data, n = other.model, other.data, other.model.nq
 
-    def put(X: np.ndarray) -> None:
-        data.qpos, data.qvel = X[:n], X[n:]
-
     def f(X: np.ndarray, u: np.ndarray, t: Any, p: Any) -> np.ndarray:
         slopes = np.empty(X.shape)
         with alone:
             for row, x, action in zip(slopes, X, u, strict=True):
-                put(x)
-                data.ctrl = action
+                data.qpos, data.qvel, data.ctrl = x[:n], x[n:], action
                 mujoco.mj_forward(model, data)
                 row[:n], row[n:] = data.qvel, data.qacc
         return slopes
@@ -97,7 +93,7 @@ def _vector(inner: Any) -> np.ndarray:
 
 def record(
     path: Path | str, env: gym.Env, policy: Callable[[Any], Any], delays: Sequence[int], *, rows: int = 20000,
-    episodes: int = 100, steps: int = 250, noise: float = 0.1, state: State | None = None, nx: int = 9, seed: int = 0,
+    episodes: int = 200, steps: int = 250, noise: float = 0.1, state: State | None = None, nx: int = 9, seed: int = 0,
 ) -> None:  # fmt: skip
     """Write data for `[generate] data`: `rows` at most of what comes of a state over the delays, in control steps.
 
