@@ -41,7 +41,7 @@ TRAINING = {  # the cheapest first; the algorithm, its steps and its options
         PPO | {"n_envs": 4, "n_steps": 1024, "gamma": 0.9999, "gae_lambda": 0.98, "learning_rate": 6e-4},
     ),
     "HalfCheetah-v5": ("SAC", 30_000, {"learning_rate": 1e-3, "learning_starts": 5000}),
-    "Hopper-v5": ("SAC", 30_000, {"learning_rate": 1e-3, "learning_starts": 2000}),
+    "Hopper-v5": ("SAC", 20_000, {"learning_rate": 1e-3, "learning_starts": 2000}),
 }
 
 

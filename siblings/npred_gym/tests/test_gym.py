@@ -1,6 +1,7 @@
 """Late actions: which of them acts, exact predictions give the loop without delay, and wrong settings one line."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -147,6 +148,19 @@ def test_a_state_is_read_from_an_observation(name):
     got = simulator(observation, [HeldAction(action, 1.0)])
     at = slice(0, 8) if name == "InvertedDoublePendulum-v5" else slice(None)  # the last is a force
     np.testing.assert_allclose(got[at], expected[at], atol=1e-5)
+
+
+def test_a_delay_from_a_recording_and_a_policy_with_predict():
+    env = gym.make("InvertedPendulum-v5")
+    identified = SimpleNamespace(D=np.array([0.32]), refused=False)
+    policy = law(env)
+    model = SimpleNamespace(predict=lambda o, deterministic: (policy(o), None))
+    ahead = Ahead(model, env, delay=identified)
+    assert ahead.delay == pytest.approx(8) and np.array_equal(
+        ahead(np.zeros(4)), Ahead(policy, env, delay=8)(np.zeros(4))
+    )
+    with pytest.raises(ConfigError, match="expected one delay that the recording tells"):
+        Ahead(policy, env, delay=SimpleNamespace(D=np.array([0.32]), refused=True))
 
 
 PLANT = """
