@@ -31,8 +31,8 @@ class BlackBox(Plant):
     and gives (B, n). Optional are df(X, u, t, p, v) -> (B, n) and dkappa(X, t, p, v) -> (B, m), the derivatives by X
     along v (B, n), else taken by central differences, good to about 1e-9 of the function's size, as those by t are;
     rollout(X, u, D_hat, t, p) -> (B, nx, n), a simulator's own steps from X over u (B, nx, m) and D_hat (B,);
-    and `files`, paths whose content is part of the identity, as is that of the plant's file. All else is as for
-    any Plant.
+    `rests = False` for a law that comes to no rest, as one that walks; and `files`, paths whose content is part of the
+    identity, as is that of the plant's file. All else is as for any Plant.
     Where a function overflows or leaves a domain by an exception, as math.pow does, that row is NaN.
     Raises ConfigError, in one line, for a function that fails or returns another shape, and for several delays.
     """
@@ -163,6 +163,10 @@ class BlackBox(Plant):
     @property
     def clocked(self) -> bool:
         return not self.autonomous
+
+    @cached_property
+    def rests(self) -> bool:
+        return getattr(self.declaration, "rests", True) and Plant.rests.func(self)
 
     @property
     def rest(self) -> tuple[np.ndarray, np.ndarray] | None:

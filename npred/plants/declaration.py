@@ -17,7 +17,7 @@ from npred.plants import setpoint
 
 NAME = re.compile(r"\w[\w., -]{0,99}")
 LONGEST = 40  # letters of a label or a unit
-CALLED = ("df", "dkappa", "files")  # further parts of a black box
+CALLED = ("df", "dkappa", "files", "rests")  # further parts of a black box
 _LIMITS, _LATE = "; did you mean input_bounds?", "; did you mean delays, or D of the loop?"
 _LOOPS = "; it is the loop's: pass it to npred.simulate"
 _JUMPS = "; states do not jump: did you mean state_bounds, or M.where in f?"

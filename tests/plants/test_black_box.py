@@ -207,6 +207,13 @@ def test_a_function_of_time_is_found_out(write):
     assert not plants.resolve(write("return CART.kappa(X)", "return CART.kappa(X) * (1 + t)")).rests
 
 
+def test_a_law_that_comes_to_no_rest_says_so(write):
+    """As that of a robot that walks: nobody searches a rest or asks for stability."""
+    plant = plants.resolve(write("traced = False", "traced, rests = False, False"))
+    assert plants.resolve(write()).rests and not plant.rests and plant.rest is None
+    assert {answer.check for answer in check(plant)}.isdisjoint({"equilibrium", "stability", "convergence"})
+
+
 def test_a_reference_is_followed(write):
     plant = plants.resolve(write("return CART.kappa(X)", "return CART.kappa(X) + np.reshape(t, (-1, 1))", """
     def reference(t, p):
