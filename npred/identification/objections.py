@@ -21,7 +21,8 @@ FAR = 4.0  # times what was allowed: a parameter that explains something else
 POOR = 0.3  # share of the spread of the outputs: so large errors that keep their sign are no noise
 LONG = 5.0  # samples for which they do
 DEVIATIONS = 2.0  # by which commands may arrive before and after the mean
-FOLLOWING = 0.15  # R² of errors by commands: the plant answers these otherwise than the model
+FOLLOWING = 0.15, 0.3  # R² by commands of errors that are notable, and of any: the plant answers otherwise
+NOTABLE = 0.02  # share of the spread of the outputs: smaller errors may come from between the rows
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ class Evidence:
     @property
     def incomplete(self) -> bool:
         """True if the plant answers commands otherwise than the model: states that this lacks may delay them, too."""
-        return self.following > FOLLOWING and self.inflation > MISSING
+        return self.following > FOLLOWING[self.share < NOTABLE] and self.inflation > MISSING
 
     @property
     def identifiable(self) -> np.ndarray:

@@ -105,7 +105,8 @@ def policy(path: str | Path, *, output: str = "", row: int = 0, scale: float | S
     rows = actions.reshape(-1, actions.shape[-1] if actions.ndim else 1)
     if not 0 <= row < len(rows):
         raise ConfigError(f"policy {file}: row expected 0 to {len(rows) - 1}, got {row}; choose one of its actions")
-    scales = tuple(map(float, scale)) if isinstance(scale, Sequence) else float(scale)
+    scales = np.asarray(scale, dtype=float).tolist()
+    scales = tuple(scales) if isinstance(scales, list) else scales
     return Policy(network(reader.count, reader.parts, rows[row]), file, scales)
 
 
@@ -136,10 +137,8 @@ class _Reader:
                 needed |= {*node.input}
         inputs = [value for value in self.graph.input if value.name in needed - self.values.keys()]
         if len(inputs) != 1:
-            got = ", ".join(value.name for value in inputs) or "none"
-            raise ConfigError(
-                f"policy {self.file}: expected one input, what it sees, got {got}; export the actor alone"
-            )
+            got = f"got {', '.join(value.name for value in inputs) or 'none'}; export the actor alone"
+            raise ConfigError(f"policy {self.file}: expected one input, what it sees, {got}")
         shape = [max(d.dim_value, 1) for d in inputs[0].type.tensor_type.shape.dim]  # a batch is one
         self.count = self.size = int(np.prod(shape))
         self.values[inputs[0].name] = Slots(np.arange(self.count).reshape(shape))
@@ -157,7 +156,7 @@ class _Reader:
         inputs = [self.values[name] if name else None for name in node.input]
         attributes = {a.name: self.onnx.helper.get_attribute_value(a) for a in node.attribute}
         op, vary = node.op_type, [isinstance(a, Slots) for a in inputs]
-        known = node.domain in ("", "ai.onnx") and not op.startswith(RANDOM)
+        known = node.domain in ("", "ai.onnx") and not op.startswith(RANDOM) and op[:1].isupper()
         try:
             if known and (not any(vary) or op == "Shape" or (op in MOVES and (op == "Concat" or not any(vary[1:])))):
                 return self._moved(node, inputs, any(vary) and op != "Shape")
@@ -165,7 +164,7 @@ class _Reader:
                 return [self._formula(op, inputs, attributes)]
             if known and hasattr(self, op):
                 return [Slots(getattr(self, op)(*inputs, **attributes))]
-        except (TypeError, ValueError, AttributeError, IndexError):  # of operands that are not taken
+        except Exception:  # of operands that are not taken
             pass
         what = f"expected operations of a network as MatMul and Tanh, got {op} (node {node.name or node.output[0]})"
         raise ConfigError(f"policy {self.file}: {what}; export the mean of the actor alone")
@@ -216,12 +215,8 @@ class _Reader:
         return np.arange(self.size - size, self.size)
 
     def Cast(self, x: Slots, to: int) -> np.ndarray:
-        kind = self.onnx.helper.tensor_dtype_to_np_dtype(to)
-        if kind.kind != "f":
+        if self.onnx.helper.tensor_dtype_to_np_dtype(to).kind != "f":
             raise ValueError
-        return x.at
-
-    def Identity(self, x: Slots) -> np.ndarray:
         return x.at
 
     def MatMul(self, a: Any, b: Any) -> np.ndarray:

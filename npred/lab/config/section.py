@@ -9,18 +9,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 from npred.base import registry
-from npred.base.registry import (
-    BASELINES,
-    DELAY_LAWS,
-    FROZEN,
-    LAWS,
-    METHODS,
-    NETWORKS,
-    OBSERVERS,
-    RUNTIMES,
-    Registry,
-    is_policy,
-)
+from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
 
 MOST = 2**53  # the largest count that a key takes
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -60,7 +49,7 @@ EXPECTED = {  # what pydantic misses, by its name of the error, and what to do; 
 
 
 def _part(parts: Registry, others: tuple[str, ...], name: str) -> str:
-    if fault := parts.fault(name, *others):
+    if not (parts is LAWS and registry.is_policy(name)) and (fault := parts.fault(name, *others)):
         raise PydanticCustomError("fault", "{fault}", {"fault": fault})
     return name
 
@@ -80,7 +69,7 @@ Method = Annotated[str, AfterValidator(partial(_part, METHODS, ())), METHODS]
 Law = Annotated[str, AfterValidator(partial(_part, DELAY_LAWS, (FROZEN,))), DELAY_LAWS]
 Observes = Annotated[str, AfterValidator(partial(_part, OBSERVERS, ())), OBSERVERS]
 Baseline = Annotated[str, AfterValidator(partial(_part, BASELINES, ())), BASELINES]
-Kappa = Annotated[str, AfterValidator(lambda name: name if is_policy(name) else _part(LAWS, (), name)), LAWS]
+Kappa = Annotated[str, AfterValidator(partial(_part, LAWS, ())), LAWS]
 Architecture = Annotated[str, AfterValidator(partial(_part, NETWORKS, ())), NETWORKS]
 Runtime = Annotated[str, AfterValidator(partial(_part, RUNTIMES, ())), RUNTIMES]
 
@@ -125,8 +114,8 @@ def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
         return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
         return [map_paths(item, locate, key) for item in value]
-    is_path = isinstance(value, str) and (registry.in_file(value) or is_policy(value) or (key == "data" and value))
-    return locate(value) if is_path else value
+    is_file = isinstance(value, str) and (registry.in_file(value) or registry.is_policy(value))
+    return locate(value) if is_file or (key == "data" and isinstance(value, str) and value) else value
 
 
 def expected(error: Any) -> tuple[str, str]:
