@@ -20,7 +20,7 @@ from npred.loop.loop import Loop
 from npred.loop.memory import Memory
 from npred.loop.signals import Events, Record
 from npred.loop.simulation import Simulation
-from npred.loop.timing import ROUNDING, Timing, schedule, shortest
+from npred.loop.timing import ROUNDING, Timing, ends, schedule
 from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 
@@ -28,7 +28,7 @@ from npred.plants import inputs
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:
     """All loops of a simulation. Raises ConfigError where the controller uses none of the samples, they are so old."""
     loop, age = simulation.loop, assembly.oldest(simulation.loop) * simulation.loop.dt
-    delay = loop.measurement.delay + shortest(loop.timing.sample_latency if loop.timing else 0.0)
+    delay = loop.measurement.delay + ends((loop.timing or Timing()).sample_latency)[0]
     if delay > age * (1 + ROUNDING):
         late, most = map(loop.plant.time_text, (delay, age))
         what = f"expected at least the delay of the samples, {late}, else none is used, got {most}"

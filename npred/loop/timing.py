@@ -18,6 +18,7 @@ ROUNDING = 1e-9  # in control steps: positions this close to a step's start are 
 SNAP = 1e-6  # in control steps: times this close to a regular clock's are on it
 # what a random number is for, as in npred/kernels/c/sensor_errors.h
 GAP, DROP, CALL, OVERRUN, LOST, SAMPLE, COMMAND = 2, 3, 5, 6, 7, 8, 9
+LATENCIES = ("sample_latency", "command_latency")
 Latency: TypeAlias = float | str | Path | Sequence[float] | Sequence[tuple[float, float]]
 FIRST = np.uint64(0x9E3779B97F4A7C15)
 FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -55,7 +56,7 @@ class ControlClock:
         if not 0 <= (stop := array_checks.number("timing: stop", self.stop)) < every or bool(stop) == math.isinf(every):
             came = f"got {self.stop!r} and {self.stop_every!r}"
             raise ConfigError(f"timing: expected 0 < stop < stop_every, or neither, {came}; give two times")
-        for name in ("sample_latency", "command_latency"):
+        for name in LATENCIES:
             object.__setattr__(self, name, packets(f"timing: {name}", getattr(self, name)))
 
 
@@ -100,17 +101,17 @@ def _recorded(name: str, file: str | Path) -> np.ndarray:
         raise ConfigError(f"{name}: {what}, got {str(file)!r}: {error}; write one") from None
 
 
-def travels(latency: Any, seed: int, loop: int, numbers: np.ndarray, purpose: int) -> np.ndarray:
-    """How long the packets of these numbers travel; infinite where they are lost."""
+def travels(latency: Any, numbers: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """How long the packets of these numbers travel, each at its share of a distribution; infinite where lost."""
     values = np.atleast_1d(np.array(latency))
-    if values.ndim == 2:
-        return np.interp(uniform(seed, loop, numbers, purpose), *values.T)
-    return values[numbers % len(values)]
+    return np.interp(shares, *values.T) if values.ndim == 2 else values[numbers % len(values)]
 
 
-def shortest(latency: Any) -> float:
-    """The shortest latency of a packet."""
-    return float(np.min(np.array(latency)[..., -1] if np.ndim(latency) == 2 else latency))
+def ends(latency: Any) -> tuple[float, float]:
+    """The shortest and the longest latency of a packet that is not lost."""
+    values = np.atleast_1d(np.array(latency))
+    values = values[:, 1] if values.ndim == 2 else values[np.isfinite(values)]
+    return float(values.min()), float(values.max())
 
 
 class Schedule(NamedTuple):
@@ -145,7 +146,7 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
         at[1:] += timing.jitter * (2 * uniform(timing.seed, loop, steps[1:], CALL) - 1)
     skipped = happens(timing.overrun, timing.seed, loop, steps, OVERRUN)
     skipped[0] = False
-    reaches = at + travels(timing.command_latency, timing.seed, loop, steps, COMMAND) / dt
+    reaches = at + travels(timing.command_latency, steps, uniform(timing.seed, loop, steps, COMMAND)) / dt
     lost = happens(timing.lost, timing.seed, loop, steps, LOST) | np.isinf(reaches)
     taken = at[~skipped]
     if measurement.period is not None:  # by the sensors' clock
@@ -155,7 +156,8 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
         taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
         taken = taken[taken <= at[-1] + ROUNDING]
     number = np.arange(len(taken))
-    late = (measurement.delay + travels(timing.sample_latency, timing.seed, loop, number, SAMPLE)) / dt
+    travelling = travels(timing.sample_latency, number, uniform(timing.seed, loop, number, SAMPLE))
+    late = (measurement.delay + travelling) / dt
     kept = ~happens(measurement.drop, measurement.seed, loop, number, DROP) & np.isfinite(late)
     if timing.stop_every is not None:
         kept &= taken * dt % timing.stop_every < timing.stop_every - timing.stop

@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from npred.base import registry
 from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
+from npred.loop.timing import LATENCIES
 
 MOST = 2**53  # the largest count that a key takes
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -20,7 +21,7 @@ Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Limit = Annotated[float, Field(strict=True)]  # also infinite
-FILES = ("data", "sample_latency", "command_latency")  # keys whose text is the name of a file
+FILES = ("data", *LATENCIES)  # keys whose text is the name of a file
 Switch = Annotated[bool, Field(strict=True)]
 PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
