@@ -82,7 +82,7 @@ def packets(name: str, value: Any) -> float | tuple[Any, ...]:
         good = good and array.shape[1] == 2 and np.isfinite(array).all() and (array[0, 0], array[-1, 0]) == (0, 1)
         good = good and (np.diff(array, axis=0) >= 0).all()
     if not good:
-        came = "that file" if isinstance(value, str | Path) else reprlib.repr(value)
+        came = repr(str(value)) if isinstance(value, str | Path) else reprlib.repr(value)
         raise ConfigError(f"{name}: expected {what}, none below 0 and one finite, got {came}; correct it")
     return float(array) if array.ndim == 0 else tuple(map(tuple, array.tolist()) if array.ndim == 2 else array.tolist())
 
@@ -90,13 +90,14 @@ def packets(name: str, value: Any) -> float | tuple[Any, ...]:
 def _recorded(name: str, file: str | Path) -> np.ndarray:
     """The latencies in a CSV file, NaN for a lost packet. Raises ConfigError where there are none."""
     try:
-        with open(file, encoding="utf-8", newline="") as lines:
-            rows = list(csv.DictReader(lines, skipinitialspace=True))
+        lines = Path(file).read_text(encoding="utf-8-sig").rstrip().splitlines()
+        names, *cells = csv.reader(lines, skipinitialspace=True)
+        rows = [dict(zip(names, row, strict=False)) for row in cells]
         latency, sent, received = (
             np.array([float(row.get(column) or "nan") for row in rows]) for column in ("latency", "sent", "received")
         )
-        return latency if "latency" in rows[0] else received - sent
-    except (OSError, ValueError, IndexError, csv.Error) as error:
+        return latency if "latency" in names else received - sent
+    except (OSError, ValueError, csv.Error) as error:
         what = "expected a CSV file with the column latency, or sent and received"
         raise ConfigError(f"{name}: {what}, got {str(file)!r}: {error}; write one") from None
 
