@@ -23,7 +23,8 @@ Step = Callable[..., np.ndarray]  # npred.prediction.methods.base
 @cache
 def called(plant: Declared) -> tuple[str, ...]:
     """The functions of the plant that its kernels call: those whose programs are long."""
-    return tuple(name for name in ("f", "kappa") if operations(plant, name) > LONG)
+    names = ("f", "kappa") if plant.declares_kappa else ("f",)
+    return tuple(name for name in names if operations(plant, name) > LONG)
 
 
 def whole(step: Step, chains: int = 1) -> Step:
