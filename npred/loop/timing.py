@@ -83,7 +83,7 @@ def packets(name: str, value: Any) -> float | tuple[Any, ...]:
         good = good and (np.diff(array, axis=0) >= 0).all()
     if not good:
         came = repr(str(value)) if isinstance(value, str | Path) else reprlib.repr(value)
-        raise ConfigError(f"{name}: expected {what}, none below 0 and one finite, got {came}; correct it")
+        raise ConfigError(f"{name}: expected {what}, none below 0 and one finite, got {came}; give another")
     return float(array) if array.ndim == 0 else tuple(map(tuple, array.tolist()) if array.ndim == 2 else array.tolist())
 
 

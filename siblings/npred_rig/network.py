@@ -51,9 +51,9 @@ class Channel:
     @property
     def longest(self) -> float:
         """The longest time from sending to arrival, in seconds."""
-        own = [ends(latency)[1] for latency in self.latencies.values()]
-        usual = [self.delay + self.jitter] if len(own) < 2 else []
-        return max(own + usual) * (2 if self.reorder else 1)
+        times = [ends(latency)[1] for latency in self.latencies.values()]
+        usual = [self.delay + self.jitter] if len(times) < 2 else []
+        return max(times + usual) * (2 if self.reorder else 1)
 
     def arrival(self, way: str, number: int, sent_at: float) -> float:
         """When packet `number` of a way arrives that is sent at that time, in seconds; infinity where it is lost."""
