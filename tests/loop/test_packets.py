@@ -199,5 +199,7 @@ def test_a_pipeline_reads_a_trace_beside_its_file_and_keeps_its_numbers(tmp_path
         'plant = "scalar"\n[evaluate]\nX0 = [1.0]\nadaptation = "frozen"\nactuator = "history"\n'
         'timing = { sample_latency = "trace.csv", command_latency = [[0.0, 0.125], [1.0, 0.25]] }\n'
     )
-    timing = config.load(tmp_path / "loop.toml").evaluate.timing
+    pipeline = config.load(tmp_path / "loop.toml")
+    timing = pipeline.evaluate.timing
+    assert type(pipeline).model_validate_json(pipeline.model_dump_json()).evaluate.timing == timing
     assert timing.sample_latency == (0.25, LOST, 0.5) and timing.command_latency == ((0.0, 0.125), (1.0, 0.25))
