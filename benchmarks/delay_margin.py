@@ -1,4 +1,5 @@
-"""The margin of a constant delay estimate: by the spectrum, and where simulated loops begin to be lost.
+"""The margin of a constant delay estimate, and the longest delay without prediction: by the spectrum, and where
+simulated loops begin to be lost.
 
     python benchmarks/delay_margin.py [--steps 500]
     python benchmarks/delay_margin.py --gain
@@ -36,11 +37,11 @@ FIRST, GROWTH, MOST = 0.01, 1.3, 22  # of D: the first error, then so many times
 WIDTH, PARTS = 5e-4, 9  # of the error, where the search ends; loops side by side
 
 
-def grows(plant: Plant, D: float, errors: np.ndarray, dt: float) -> np.ndarray:
-    """Whether small states grow, for each error of D_hat."""
-    rest = plant.equilibrium
+def grows(plant: Plant, D: float, errors: np.ndarray, dt: float, predicts: bool = True) -> np.ndarray:
+    """Whether small states grow, for each error of D_hat; without prediction for each D."""
+    rest, delays = plant.equilibrium, {"D": D, "D_hat": D + errors} if predicts else {"D": errors, "D_hat": 0.0}
     loop = npred.simulate(
-        plant, npred.predictor(plant, "rk4", NODES), D=D, D_hat=D + errors, t_end=LENGTH * D, dt=dt, every=5,
+        plant, npred.predictor(plant, "rk4", NODES), **delays, t_end=LENGTH * D, dt=dt, every=5,
         X0=rest + NEAR * np.maximum(1, np.abs(rest)), u0="equilibrium", actuator="history", progress=False,
     )  # fmt: skip
     gaps, count = np.abs(loop.X - rest).max(axis=-1), len(loop.t)
@@ -50,17 +51,18 @@ def grows(plant: Plant, D: float, errors: np.ndarray, dt: float) -> np.ndarray:
 
 
 def simulated(plant: Plant, D: float, side: int, steps: int) -> float:
-    """The least error of that sign at which loops are lost; infinite if none is."""
+    """The least error of that sign at which loops are lost, of 0 the least D without prediction; infinite if none."""
+    predicts, side = side != 0, side or 1
     errors = side * D * FIRST * GROWTH ** np.arange(MOST + 1)
     errors = errors[errors > -D]
-    lost = grows(plant, D, errors, D / steps)
+    lost = grows(plant, D, errors, D / steps, predicts)
     if not lost.any():
         return side * np.inf
     first = int(np.argmax(lost))
     low, high = errors[first - 1] if first else 0.0, errors[first]
     while abs(high - low) > WIDTH * abs(high):
         inner = np.linspace(low, high, PARTS + 2)
-        lost = grows(plant, D, inner[1:-1], D / steps)
+        lost = grows(plant, D, inner[1:-1], D / steps, predicts)
         first = int(np.argmax(lost)) if lost.any() else PARTS
         low, high = inner[first], inner[first + 1]
     return (low + high) / 2
@@ -157,11 +159,12 @@ def main() -> None:
     if options.gain:
         gains()
         return
-    print("plant                  D    by the spectrum  by simulation  difference")
+    print("plant                  D    by the spectrum  by simulation  difference; of D the longest without prediction")
     for plant, D in CASES:
-        for side, edge in zip((-1, 1), npred.delay_margin(plant, D), strict=True):
+        edges = (*npred.delay_margin(plant, D), npred.delay_margin(plant))
+        for what, side, edge in zip(("low", "high", "D"), (-1, 1, 0), edges, strict=True):
             found = simulated(plant, D, side, options.steps)
-            print(f"{plant.name:20} {D:5g} {edge:16.5f} {found:14.5f} {found / edge - 1:10.2%}", flush=True)
+            print(f"{plant.name:20} {D:5g} {what:4} {edge:11.5f} {found:14.5f} {found / edge - 1:10.2%}", flush=True)
 
 
 if __name__ == "__main__":

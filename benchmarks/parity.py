@@ -128,15 +128,27 @@ def described(rng: np.random.Generator) -> dict[str, Any]:
         loop["measurement"] = npred.Measurement(**sensors, seed=int(rng.integers(99)))
     if history and rng.random() < 0.3:
         jitter, lost = float(rng.choice([0.0, 0.3])), float(rng.choice([0.0, 0.1]))
-        loop["timing"] = npred.Timing(jitter=jitter, lost=lost, overrun=lost / 2, tells=True, seed=_seed(loop))
+        travels = {way: sometimes(0.4, lambda: _latency(rng, dt)) for way in ("sample_latency", "command_latency")}
+        travels = {way: latency for way, latency in travels.items() if latency}
+        loop["timing"] = npred.Timing(jitter, lost, overrun=lost / 2, tells=True, seed=_seed(loop), **travels)
     sensors, clock = loop.get("measurement"), history and {"timing", "observer", "watchdog"} & loop.keys()
     for name, acts in (
         ("outlier_limit", clock),
-        ("max_sample_age", clock and sensors and (sensors.period or sensors.delay)),
+        ("max_sample_age", clock and _late(sensors, loop.get("timing"))),
     ):
         if not acts:
             loop.pop(name, None)
     return loop
+
+
+def _late(sensors: Any, timing: Any) -> bool:
+    return bool((sensors and (sensors.period or sensors.delay)) or (timing and timing.sample_latency))
+
+
+def _latency(rng: np.random.Generator, dt: float) -> Any:
+    """Of each packet in turn, or the quantiles of a distribution."""
+    steps = dt * np.array(rng.choice([0.0, 1.0, 2.5, 6.0, np.inf], 5, p=[0.3, 0.3, 0.2, 0.1, 0.1]))
+    return [dt, *steps] if rng.random() < 0.5 else [(0.0, 0.2 * dt), (0.9, dt), (1.0, 5 * dt)]
 
 
 def _seed(loop: dict[str, Any]) -> int:
@@ -227,7 +239,7 @@ class OnRig(Own):
         self.rig.step = self.dt  # as the other plant
 
     def go(self, to: float) -> None:
-        for number, (at, U) in enumerate((at, U) for at, U in self.sent if at >= 0):
+        for number, (at, U) in enumerate((at, U) for at, U in self.sent if 0 <= at < to):
             self.rig.command(Packet(at * self.dt, number, at * self.dt, U))
         self.X = self.rig.to(to * self.dt).copy()
 
@@ -309,7 +321,9 @@ def by_controller(
                 u = c.step(X, t=t, sampled_at=at, applied=applied).copy()
                 lost = u if plan.lost[k] else None
                 if lost is None:
-                    own.sent.append((plan.at[k], u))
+                    while own.sent[-1][0] >= plan.reaches[k]:
+                        own.sent.pop()
+                    own.sent.append((plan.reaches[k], u))
                     last = u
             except DivergedError:
                 u, lost, refused = c.memory.signals.U[:, 0].copy(), None, True

@@ -1,4 +1,5 @@
-"""How wrong a constant D_hat may be: the linearised loop of a predictor that reads its own commands at D_hat.
+"""How wrong a constant D_hat may be: the linearised loop of a predictor that reads its own commands at D_hat. And how
+long D may be without prediction.
 
 With x' = A x + B u(t - D), u = K P and P the prediction of x by D_hat, the mismatch w = B (u(t - D) - u(t - D_hat)) is
 all that the model does not know: P' = (A + B K) P + e^{A D_hat} w. So the characteristic equation is
@@ -12,9 +13,12 @@ the right of c, less the eigenvalues of A + B K there.
 Several inputs: D_j = r_j D, and u_j = K_j P(D_hat_j). Along the prediction w grows by the flow Phi of A, in which the
 loops of the inputs that have arrived are closed, and with L the longest D_hat_j
     G_j = K_j e^{s D_hat_j} [e^{-s L} (s I - A - B K)^{-1} Phi(L) + ∫ Phi(σ) e^{-s σ} dσ over D_hat_j < σ < L] B.
+
+Without prediction D_hat = 0, and the same equation is det(s I - A - B K e^{-s D}) = 0.
 """
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,28 +42,39 @@ PHASE = 0.2  # rad, by which the delays turn T between two frequencies
 AROUND = np.sinh(np.linspace(-6.0, 6.0, 41))  # times the damping of a pole: frequencies around it
 TURN, HALVINGS = 0.5, 40  # rad between two points of the Nyquist curve; how often frequencies are halved for that
 INSIDE, LONGEST = 0.9, 2.0  # share of the margin at which loops are simulated; times D, where it has no end
+LOWEST = 1e-6  # times the slowest rate of the loop: the lowest frequency at which a loop without prediction may cross
 POINTS = 16  # points of Gauss-Legendre, and one more per radian of an integrand
 
 
-def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
-    """The errors of a constant D_hat with which the loop is stable near rest.
+@overload
+def delay_margin(plant: Plant, D: float) -> tuple[float, float]: ...
+@overload
+def delay_margin(plant: Plant) -> float: ...
+
+
+def delay_margin(plant: Plant, D: float | None = None) -> tuple[float, float] | float:
+    """The errors of a constant D_hat with which the loop is stable near rest; without D the longest delay that it bears
+    without prediction.
 
     The controller predicts by a constant D_hat from its own commands (`actuator="history"`, `adaptation=None`). The
     loop, linearised at the equilibrium, is stable for every constant D_hat in (D + low, D + high), and at the ends a
-    root is on the imaginary axis: the first crossing on each side. Time is continuous here, and no command is clipped.
+    root is on the imaginary axis: the first crossing on each side. Without prediction, U = kappa(X), the linearised
+    loop is stable for every delay below the longest. Time is continuous here, and no command is clipped.
 
     Parameters
     ----------
     plant : Plant
         From npred.plant.
-    D : float, in the plant's unit of time
-        The delay, where inputs have several the longest.
+    D : float, in the plant's unit of time, optional
+        The delay, where inputs have several the longest. None for the loop without prediction.
 
     Returns
     -------
-    tuple[float, float]
+    tuple[float, float] or float
         (low, high), low <= 0 <= high, in the plant's unit of time. low = -D if the loop is stable down to D_hat =
-        0. high = inf if it is stable up to ten times the sum of D and the loop's slowest time constant.
+        0. high = inf if it is stable up to ten times the sum of D and the loop's slowest time constant. Without D the
+        longest delay, of several the longest one's; inf if the loop is stable with every delay, where inputs have
+        several with all up to ten of those time constants.
 
     Raises
     ------
@@ -68,6 +83,9 @@ def delay_margin(plant: Plant, D: float) -> tuple[float, float]:
         delay, and for a D that is no time above 0.
     """
     require(plant)
+    if D is None:
+        unpredicted = UnpredictedLoop(plant)
+        return unpredicted.edge(unpredicted.end)
     D = array_checks.number("D", D)
     if not 0 < D < np.inf:
         raise ConfigError(f"D: expected a time above 0, got {plant.time_text(D)}; give the plant's delay")
@@ -81,23 +99,31 @@ def applies(case: Case) -> bool:
 
 
 def tolerated(case: Case) -> Verdict:
-    """How wrong a constant estimate of the case's delay may be, near rest and for loops from the box."""
-    low, high = delay_margin(case.plant, case.D)
-    shown, D = case.plant.time_text, case.D
+    """How wrong a constant estimate of the case's delay may be, near rest and for loops from the box, and how long the
+    delay without prediction.
+    """
+    (low, high), longest = delay_margin(case.plant, case.D), delay_margin(case.plant)
+    shown, D, bare = case.plant.time_text, case.D, min(INSIDE * longest, LONGEST * case.D)
     first, last = shown(D + low, ".4g"), None if np.isinf(high) else shown(D + high, ".4g")
     ends = f"of {first} or more" if last is None else f"between {first} and {last}"
     text = f"near rest the loop is stable for a constant estimate D_hat {ends}"
+    unpredicted = "without prediction for " + ("every D" if longest == np.inf else f"D below {shown(longest, '.4g')}")
     figures: dict[str, Any] = {"D": D, "low": D + low, "high": None if np.isinf(high) else D + high}
+    figures["longest_without_prediction"] = None if np.isinf(longest) else longest
     if not loops.applies(case):
-        return "yes", f"{text}; no loop from the box was simulated", figures
+        return "yes", f"{text}, {unpredicted}; no loop from the box was simulated", figures
     inside = 0.0 if low == -D else D + INSIDE * low, D + INSIDE * high if high < np.inf else LONGEST * D
     each = [loops.ensemble(case, float(D_hat)) for D_hat in inside]
-    figures["loops"] = [one.figures for one in each]
+    experiment = case.experiment and replace(case.experiment, D=bare)
+    late = loops.ensemble(replace(case, delay=bare, experiment=experiment, ensembles={}), 0.0)
+    figures |= {"loops": [one.figures for one in each], "without_prediction": {"D": bare} | late.figures}
+    if late.fails.any():
+        unpredicted += f", near rest: loops from the box with D = {shown(bare, '.4g')}: {late.text()}"
     if not any(one.fails.any() for one in each):
         tried = " and ".join(shown(one.D_hat, ".4g") for one in each)
-        return "yes", f"{text}; loops from the box are stable too, with D_hat = {tried}", figures
+        return "yes", f"{text}; loops from the box are stable too, with D_hat = {tried}; {unpredicted}", figures
     failing = (f"with D_hat = {shown(one.D_hat, '.4g')} {one.text()}" for one in each if one.fails.any())
-    return "warn", f"{text}; loops from the box are not: {'; '.join(failing)}", figures
+    return "warn", f"{text}; loops from the box are not: {'; '.join(failing)}; {unpredicted}", figures
 
 
 class MismatchedLoop:
@@ -108,7 +134,7 @@ class MismatchedLoop:
             raise ConfigError(f"plant {plant.name}: expected a constant delay, it declares delay(x, t, p, M); drop it")
         rest = plant.equilibrium
         (self.closed, self.B), self.K = plant.linearised(), plant.kappa_jacobian(rest)
-        self.D, self.r = D, plant.ratios
+        self.D, self.r, self.unit = D, plant.ratios, D
         self.poles: NDArray[np.complex128] = np.full(1, np.inf + 0j)
         if np.isfinite(self.closed).all():
             self.poles = np.linalg.eigvals(self.closed).astype(complex)
@@ -123,18 +149,18 @@ class MismatchedLoop:
 
     def edge(self, end: float) -> float:
         """The D_hat of the first crossing on the way from D to `end`; 0 or infinity where there is none."""
-        a, step = self.D, FIRST * self.D
+        a, step = self.D, FIRST * self.unit
         while a != end:
             b = a + np.clip(end - a, -step, step)
             omega = self.frequencies(a, b)
             T, next_T = self.T(omega, a), self.T(omega, b)
             near = np.linalg.svd(np.eye(len(self.r)) - T, compute_uv=False)[:, -1]
-            if step > LEAST * self.D and (np.linalg.norm(next_T - T, axis=(1, 2)) > SHARE * near).any():
+            if step > LEAST * self.unit and (np.linalg.norm(next_T - T, axis=(1, 2)) > SHARE * near).any():
                 step /= 2
             elif self.stable(b):
                 a, step = b, LONGER * step
             else:  # stability ends between a and b
-                while abs(b - a) > TOLERANCE * self.D:
+                while abs(b - a) > TOLERANCE * self.unit:
                     middle = (a + b) / 2
                     a, b = (middle, b) if self.stable(middle) else (a, middle)
                 return float((a + b) / 2)
@@ -219,3 +245,31 @@ class MismatchedLoop:
             x = x + piece
             G[:, j] = np.exp(s * end)[:, None] * np.einsum("i,wij->wj", self.K[j], x)
         return G
+
+
+class UnpredictedLoop(MismatchedLoop):
+    """The linearised loop of a plant whose controller does not predict: D_hat is 0, and what moves is D."""
+
+    def __init__(self, plant: Plant):
+        """`end` is as long as D may have to be: beyond it, a loop with one delay would have lost its stability."""
+        super().__init__(plant, 0.0)
+        A, eye = self.closed - self.B @ self.K, np.eye(plant.n)
+        open_poles = np.linalg.eigvals(A)
+        widths = np.maximum(np.abs(open_poles.real), LOWEST * np.abs(open_poles))
+        omega = np.append(
+            np.geomspace(LOWEST / self.slowest, HIGHEST * np.abs(self.poles).max(), 400),
+            np.abs(open_poles.imag) + np.outer(AROUND[AROUND != 0], widths),
+        )
+        omega = np.sort(omega[omega > 0])
+        gains = self.K @ np.linalg.solve(1j * omega[:, None, None] * eye - A, self.B + 0j)
+        loud = omega[np.abs(np.linalg.eigvals(gains)).max(axis=1) >= 1]
+        top = loud.max(initial=0.0)  # no root crosses at a higher frequency, and at this one the last does
+        several, crossed = len(np.unique(self.r)) > 1, 2 * np.pi / top if top else 0.0
+        self.unit = 1 / max(top, 1 / self.slowest)
+        self.end = max(crossed / self.r.min(), SEARCHED * self.slowest * several)
+
+    def G(self, omega: np.ndarray, D_hat: float, c: float = 0.0) -> np.ndarray:
+        return super().G(omega, 0.0, c)
+
+    def T(self, omega: np.ndarray, D_hat: float, c: float = 0.0) -> np.ndarray:
+        return -super().T(omega, D_hat, c)

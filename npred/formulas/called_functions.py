@@ -23,7 +23,7 @@ Step = Callable[..., np.ndarray]  # npred.prediction.methods.base
 @cache
 def called(plant: Declared) -> tuple[str, ...]:
     """The functions of the plant that its kernels call: those whose programs are long, and call no network."""
-    texts = {name: lines(plant, name) for name in ("f", "kappa")}
+    texts = {name: lines(plant, name) for name in (("f", "kappa") if plant.declares_kappa else ("f",))}
     return tuple(name for name, text in texts.items() if len(text) > LONG and "plant_network" not in "".join(text))
 
 

@@ -59,6 +59,7 @@ class Declared(Protocol):
     traced: ClassVar[bool]
     name: str
     declaration: Any
+    declares_kappa: bool
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     p_names: tuple[str, ...]

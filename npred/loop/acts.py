@@ -73,13 +73,15 @@ UNDECLARED = Need(
 SERVED = UNDECLARED._replace(has=lambda of: of.alone or not of.plant.declares_delay)
 ESTIMATED = UNDECLARED._replace(has=lambda of: not of.plant.declares_delay or of.blind, cure="give 0 for no prediction")
 LATE = Need(
-    lambda of: of.alone or of.measurement.delay or (of.measurement.period and of.on_a_clock),
+    lambda of: of.alone or of.measurement.delay or (of.measurement.period and of.on_a_clock)
+    or (of.timing and of.timing.sample_latency),
     "samples that may come late", lambda of: "those of control steps, at once", "give the measurement a delay",
 )  # fmt: skip
 KEPT = COMMANDS._replace(has=lambda of: not of.alone or of.keeps_commands)
 DELAYED = Need(
     lambda of: of.alone or of.plant.declares_delay or callable(of.D) or np.any(of.D)
-    or (of.actuator == HISTORY and np.any(of.D_hat)), "a delay", lambda of: "D = 0", "give D above 0", whole=True,
+    or (of.timing and of.timing.command_latency) or (of.actuator == HISTORY and np.any(of.D_hat)),
+    "a delay", lambda of: "D = 0", "give D above 0", whole=True,
 )  # fmt: skip
 FILTERED = COMMANDS._replace(has=lambda of: of.actuator == HISTORY or not (of.alone or of.safety.delay))
 LIMITED = Need(

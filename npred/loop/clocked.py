@@ -20,7 +20,7 @@ from npred.loop.loop import Loop
 from npred.loop.memory import Memory
 from npred.loop.signals import Events, Record
 from npred.loop.simulation import Simulation
-from npred.loop.timing import ROUNDING, Timing, schedule
+from npred.loop.timing import ROUNDING, Timing, ends, schedule
 from npred.loop.trajectories import OnAClock, each
 from npred.plants import inputs
 
@@ -28,10 +28,11 @@ from npred.plants import inputs
 def run(simulation: Simulation, progress: Callable[[int], Any] | None) -> tuple[Record, OnAClock]:
     """All loops of a simulation. Raises ConfigError where the controller uses none of the samples, they are so old."""
     loop, age = simulation.loop, assembly.oldest(simulation.loop) * simulation.loop.dt
-    if loop.measurement.delay > age * (1 + ROUNDING):
-        late, most = map(loop.plant.time_text, (loop.measurement.delay, age))
+    delay = loop.measurement.delay + ends((loop.timing or Timing()).sample_latency)[0]
+    if delay > age * (1 + ROUNDING):
+        late, most = map(loop.plant.time_text, (delay, age))
         what = f"expected at least the delay of the samples, {late}, else none is used, got {most}"
-        raise ConfigError(f"max_sample_age: {what}; give max_sample_age = {loop.measurement.delay:g} or more")
+        raise ConfigError(f"max_sample_age: {what}; give max_sample_age = {delay:g} or more")
 
     def one(number: int) -> tuple[Record, OnAClock]:
         result = run_one(simulation, number)

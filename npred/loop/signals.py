@@ -143,7 +143,7 @@ SIMULATES = [  # those of what is simulated around it: its plant, its sensors, t
 ]
 SETTINGS = [*CONTROLS, *SIMULATES]
 EVENTS = [  # one loop on a real clock; times since its start, in control steps
-    *(Signal(name, ("count",)) for name in ("at", "gap", "age")),  # each control step's call: npred/loop/timing.py
+    *(Signal(name, ("count",)) for name in ("at", "gap", "age", "reaches")),  # each step's call: npred/loop/timing.py
     *(Signal(name, ("count",), 0, "bool") for name in ("skipped", "lost")),
     Signal("sample", ("count",), -1, "int64"),  # the row of the sample that it gets
     Signal("taken", ("samples",)),
@@ -151,9 +151,7 @@ EVENTS = [  # one loop on a real clock; times since its start, in control steps
     Signal("values", ("samples", "outputs")),  # the samples
     Signal("taken_count", (), 0, "int64"),  # samples taken so far
     Signal("at_plant", (), 0.0),  # how far the plant is
-    Signal(
-        "sent_at", ("commands",)
-    ),  # when the commands were sent that reached the actuator, those before the start too
+    Signal("sent_at", ("commands",)),  # when commands reached the actuator, or will; those before the start too
     Signal("sent", ("commands", "m")),
     Signal("sent_count", (), 0, "int64"),
     Signal("acting", ("m",), 0, "int64"),  # the number of the command that acts now

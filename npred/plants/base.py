@@ -347,7 +347,8 @@ class Plant(InNotebook):
         trace = Trace(self)
         x, _, t = trace.symbols()
         delay = [trace.delay(x, t)] if self.declares_delay else []
-        return not self.autonomous or programs.depends([*trace.kappa(x, t)[self.ratios < 1], *delay], [t])
+        laws = [] if self.one_delay else [*trace.kappa(x, t)[self.ratios < 1]]  # a plant without a law is predicted too
+        return not self.autonomous or programs.depends([*laws, *delay], [t])
 
     @cached_property
     def phased(self) -> bool:

@@ -8,14 +8,16 @@ import math
 import select
 import socket
 import time
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from npred.base import array_checks, randomness
 from npred.base.errors import ConfigError
+from npred.loop.timing import ends, travels
 
 STOP = 0.2  # s that the network stands still
 PATIENCE = 2.0  # s without any packet, lost ones too, after which the other side is gone
@@ -24,7 +26,8 @@ LONGEST = 65507  # bytes of a packet
 
 @dataclass(frozen=True)
 class Channel:
-    """Packets take delay + jitter r seconds, r uniform on [-1, 1], each by itself, so that they overtake each other.
+    """Packets take delay + jitter r seconds, r uniform on [-1, 1], each by itself, so that they overtake each other;
+    those of a way in `latencies` take those, as npred.Timing has them.
 
     The share `loss` never arrives, the share `reorder` takes twice its time; `stops` times a minute all that is sent
     within 0.2 s is lost. Raises ConfigError for values out of range.
@@ -36,6 +39,7 @@ class Channel:
     reorder: float = 0.0
     stops: float = 0.0
     seed: int = 0
+    latencies: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         limits = {"delay": math.inf, "jitter": self.delay, "loss": 1.0, "reorder": 1.0, "stops": 30 / STOP}
@@ -47,14 +51,19 @@ class Channel:
     @property
     def longest(self) -> float:
         """The longest time from sending to arrival, in seconds."""
-        return (self.delay + self.jitter) * (2 if self.reorder else 1)
+        times = [ends(latency)[1] for latency in self.latencies.values()]
+        usual = [self.delay + self.jitter] if len(times) < 2 else []
+        return max(times + usual) * (2 if self.reorder else 1)
 
     def arrival(self, way: str, number: int, sent_at: float) -> float:
         """When packet `number` of a way arrives that is sent at that time, in seconds; infinity where it is lost."""
         lost, spread, slow = randomness.generator(self.seed, way, number).random(3)
         if lost < self.loss or self.stopped(sent_at):
             return math.inf
-        return sent_at + (self.delay + self.jitter * (2 * spread - 1)) * (2 if slow < self.reorder else 1)
+        takes = self.delay + self.jitter * (2 * spread - 1)
+        if way in self.latencies:
+            takes = float(travels(self.latencies[way], np.array([number]), np.array([spread]))[0])
+        return sent_at + takes * (2 if slow < self.reorder else 1)
 
     def stopped(self, t: float) -> bool:
         """Whether the network stands still at a time: once in each of the `stops` parts of a minute."""

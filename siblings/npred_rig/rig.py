@@ -24,6 +24,7 @@ from npred.loop import loop_checks, metrics, settable
 from npred.loop.acts import HISTORY
 from npred.loop.assembly import OLDEST
 from npred.loop.controller import Controller
+from npred.loop.timing import LATENCIES, ControlClock
 from npred.plants import Plant
 from npred.prediction.methods import numerical
 from npred_rig import log, network, sides
@@ -38,7 +39,11 @@ def rig(options: Rigged, output: Path | None, figure: Path | None) -> None:
     """Run it and report its log. Raises NpredError if a side ends early, UnmetError if the loop ends far from rest."""
     if not 0 < options.seconds < math.inf:
         raise ConfigError(f"--seconds: expected a time above 0, got {options.seconds:g}; give seconds")
-    channel = Channel(options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed)
+    timing = options.config.evaluate.timing or ControlClock()
+    ways = zip(("samples", "commands"), LATENCIES, strict=True)
+    latencies = {way: latency for way, name in ways if (latency := getattr(timing, name))}
+    numbers = options.latency, options.jitter, options.loss, options.reorder, options.stops, options.seed
+    channel = Channel(*numbers, latencies)
     path, plot = writable(output or Path(f"{options.pipeline.stem}-rig.csv")), figure and drawable(figure)
     plant = plants.resolve(*options.config.of_plant)
     if plant.declares_delay or not plant.one_delay or plant.time_unit != "s":
@@ -127,9 +132,11 @@ def _controller(options: Rigged, plant: Plant, channel: Channel) -> Controller:
     controller = export.of_table(plant, predictor, table.model_copy(update={"actuator": HISTORY}), **more)
     if isinstance(controller.adaptation, DelayAdaptation):
         options.console.warn(export.RECALLS)
-    sensors = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
-    if keys := [f"evaluate.{key}" for key, value in (sensors | {"timing": table.timing}).items() if value]:
-        cure = "leave it out, and describe the network by --latency, --jitter, --loss and --stops"
+    others = {f"measurement.{key}": getattr(table.measurement, key) for key in ("jitter", "delay", "drop")}
+    clock = vars(table.timing or ControlClock())
+    others |= {f"timing.{key}": value for key, value in clock.items() if key not in LATENCIES}
+    if keys := [f"evaluate.{key}" for key, value in others.items() if value]:
+        cure = "leave it out, and describe the network by --latency, --jitter, --loss, --stops and timing's latencies"
         what = "expected no delays, losses and clock besides those of the rig"
         raise ConfigError(f"rig: {what}, got {', '.join(keys)}; {cure}")
     if table.X0:

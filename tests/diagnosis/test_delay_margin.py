@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.optimize import brentq, fsolve
 from scipy.special import lambertw
@@ -182,3 +184,82 @@ def test_the_rightmost_root_with_a_long_delay(D):
 
 def test_the_rightmost_root_where_the_estimate_is_right_is_that_without_delay():
     assert MismatchedLoop(npred.plant("scalar"), 1.0).rightmost(1.0) == -1.0  # c = 1
+
+
+class Line:
+    """x' = a x + u, u = -k x."""
+
+    states, inputs, guess, parameters = ("x",), ("u",), (0.0,), {"a": 0.5, "k": 1.5}
+    f = lambda x, u, t, p, M: [p.a * x.x + u.u]
+    kappa = lambda x, t, p, M: [-p.k * x.x]
+
+
+class DoubleIntegrator:
+    """With a proportional and derivative law."""
+
+    states, inputs, guess, parameters = ("x", "v"), ("u",), (0.0, 0.0), {"kp": 1.0, "kd": 1.0}
+    f = lambda x, u, t, p, M: [x.v, u.u]
+    kappa = lambda x, t, p, M: [-p.kp * x.x - p.kd * x.v]
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(-2.0, 2.0), st.floats(0.05, 10.0))
+def test_the_longest_delay_of_a_scalar_loop_without_prediction(a, more):
+    k = a + more
+    longest = npred.delay_margin(Plant("line", Line, {"a": a, "k": k}))
+    if k > 1.01 * abs(a):
+        assert longest == pytest.approx(np.arccos(a / k) / np.sqrt(k**2 - a**2), rel=1e-7)
+    elif k < 0.99 * abs(a):
+        assert longest == np.inf
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.05, 50.0), st.floats(0.05, 20.0))
+def test_the_longest_delay_of_a_double_integrator_is_phase_over_crossover_frequency(kp, kd):
+    longest = npred.delay_margin(Plant("double", DoubleIntegrator, {"kp": kp, "kd": kd}))
+    omega = np.sqrt((kd**2 + np.sqrt(kd**4 + 4 * kp**2)) / 2)
+    assert longest == pytest.approx(np.arctan2(kd * omega, kp) / omega, rel=1e-6)
+
+
+class Resonant:
+    """A mass on a spring with little damping."""
+
+    states, inputs, guess = ("x", "v"), ("u",), (0.0, 0.0)
+    f = lambda x, u, t, p, M: [x.v, -25.0 * x.x - 0.2 * x.v + u.u]
+    kappa = lambda x, t, p, M: [5.0 * x.x - 2.0 * x.v]
+
+
+@pytest.mark.parametrize(
+    "plant", [*map(npred.plant, ("van_der_pol", "chemostat", "pvtol")), Plant("two", TwoDelays), Plant("r", Resonant)],
+    ids=lambda plant: plant.name,
+)  # fmt: skip
+def test_without_prediction_the_spectrum_by_collocation_reaches_the_axis_at_the_longest_delay(plant):
+    longest = npred.delay_margin(plant)
+    assert abs(abscissa(plant, longest, 0.0)) < 1e-5
+    assert all(abscissa(plant, D, 0.0) < 0 for D in longest * np.linspace(0.05, 0.99, 5))
+    assert abscissa(plant, 1.01 * longest, 0.0) > 0
+
+
+@pytest.mark.parametrize("name", ["van_der_pol", "activator_repressor"])
+def test_simulated_loops_without_prediction_are_lost_half_a_control_step_before_the_longest_delay(name):
+    """A command that is held acts half a control step late."""
+    plant, steps = npred.plant(name), 100
+    longest = npred.delay_margin(plant)
+    D = longest * np.linspace(0.98, 1.02, 5)
+    X0 = plant.equilibrium + 1e-6 * np.maximum(1, np.abs(plant.equilibrium))
+    loop = npred.simulate(
+        plant, npred.predictor(plant, "rk4", 2), D=D, D_hat=0.0, X0=X0, t_end=60 * longest, dt=longest / steps,
+        u0="equilibrium", progress=False,
+    )  # fmt: skip
+    gaps = np.linalg.norm(loop.X - plant.equilibrium, axis=-1)
+    middle, end = (part.max(axis=1) for part in np.array_split(gaps, 4, axis=1)[2:])
+    growth = np.log(end / middle)
+    assert (np.diff(growth) > 0).all()
+    assert np.interp(0.0, growth, D) == pytest.approx(longest * (1 - 0.5 / steps), rel=0.001)
+
+
+def test_what_has_no_longest_delay_is_refused():
+    with pytest.raises(ConfigError, match="expected to stabilise without delay, got the eigenvalue 1"):
+        npred.delay_margin(npred.plant("scalar", c=-1.0))
+    with pytest.raises(ConfigError, match="expected a constant delay"):
+        npred.delay_margin(npred.plant("transport_tank"))

@@ -336,3 +336,6 @@ def test_the_loops_of_a_pipeline_have_its_delay_not_its_longest_estimate(tmp_pat
     low, high = npred.delay_margin(npred.plant("scalar"), 0.7)
     figures = rows["delay margin"]["figures"]
     assert (figures["low"], figures["high"]) == pytest.approx((0.7 + low, 0.7 + high))
+    longest, late = npred.delay_margin(npred.plant("scalar")), figures["without_prediction"]
+    assert figures["longest_without_prediction"] == longest and late["D"] == pytest.approx(0.9 * longest)
+    assert late["settled"] == 1 and f"without prediction for D below {longest:.4g} s" in rows["delay margin"]["text"]

@@ -382,3 +382,17 @@ def test_they_call_a_plant_that_is_not_traced(baseline):
 def test_a_plant_with_other_delays_is_refused(name: str):
     with pytest.raises(ConfigError, match=rf"published: expected a plant with one constant delay .* plant {name} is"):
         Published(plants.resolve(name))
+
+
+@pytest.mark.parametrize("name", ["euler", "heun", "rk4"])
+def test_a_plant_without_a_law_is_predicted_as_with_one(name: str):
+    """Another program has the law: a policy, say."""
+
+    class Follower:
+        states, inputs, parameters, guess = ("x",), ("u",), {"lag": 0.1}, (0.0,)
+        f = lambda x, u, t, p, M: [(u.u - x.x) / p.lag]
+
+    led = type("Led", (Follower,), {"kappa": lambda x, t, p, M: [-x.x]})
+    u = np.sin(np.arange(21.0))[:, None]
+    both = [npred.predictor(npred.plant(kind), name, nx=21)([1.0], u, 0.2) for kind in (Follower, led)]
+    assert np.array_equal(*both) and np.isfinite(both[0]).all()

@@ -15,9 +15,10 @@ static inline double leaves(Shape d, INDEX k, int c, double at, const Settings *
     return at - D / s->dt;
 }
 
-/* The newest command sent up to a position, from the number of another one on. */
+/* The newest command that had reached the actuator at a position, from the number of another one on. */
 static inline int64_t newest(const Events *e, int64_t i, double position)
 {
+    i = i < e->sent_count[0] ? i : e->sent_count[0] - 1;
     while (i + 1 < e->sent_count[0] && e->sent_at[i + 1] <= position + ROUNDING) {
         i++;
     }
@@ -105,9 +106,11 @@ static inline void do_call(Shape d, INDEX k, const Parts *q, const Settings *s, 
     e->refusals[0] += code != OK;
     e->unsaid[0] = code == OK && e->lost[k];
     if (code == OK && !e->lost[k]) {
-        e->sent_at[last + 1] = e->at[k];
-        copy(d.m, z->U, e->sent + (last + 1) * d.m);
-        e->sent_count[0]++;
+        while (e->sent_at[e->sent_count[0] - 1] >= e->reaches[k]) { /* still under way: this one overtakes it */
+            e->sent_count[0]--;
+        }
+        e->sent_at[e->sent_count[0]] = e->reaches[k];
+        copy(d.m, z->U, e->sent + e->sent_count[0]++ * d.m);
     }
 }
 

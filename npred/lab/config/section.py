@@ -10,6 +10,7 @@ from pydantic_core import PydanticCustomError
 
 from npred.base import registry
 from npred.base.registry import BASELINES, DELAY_LAWS, FROZEN, LAWS, METHODS, NETWORKS, OBSERVERS, RUNTIMES, Registry
+from npred.loop.timing import LATENCIES
 
 MOST = 2**53  # the largest count that a key takes
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
@@ -20,6 +21,7 @@ Item = TypeVar("Item")
 Some = Annotated[list[Item], Field(min_length=1)]
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Limit = Annotated[float, Field(strict=True)]  # also infinite
+FILES = ("data", *LATENCIES)  # keys whose text is the name of a file
 Switch = Annotated[bool, Field(strict=True)]
 PerState = Number | list[Number]
 Anchor = Literal["none", "initial", "equilibrium"]
@@ -102,20 +104,22 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="constants")
 
     def map_paths(self, locate: Callable[[str], str]) -> Self:
-        """The same with `locate(path)` in each value that names a class of a file, or data."""
+        """The same with `locate(path)` in each value that names a class or another file."""
         return self.model_copy(update={key: map_paths(value, locate, key) for key, value in self})
 
 
 def map_paths(value: Any, locate: Callable[[str], str], key: Any = None) -> Any:
-    """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class of a file, or data."""
+    """A pipeline's value, plain or parsed, with `locate(path)` in each text that names a class or another file."""
     if isinstance(value, Section):
         return value.map_paths(locate)
     if isinstance(value, dict):
         return {name: map_paths(item, locate, name) for name, item in value.items()}
     if isinstance(value, list):
         return [map_paths(item, locate, key) for item in value]
-    is_file = isinstance(value, str) and (registry.in_file(value) or registry.is_policy(value))
-    return locate(value) if is_file or (key == "data" and isinstance(value, str) and value) else value
+    is_path = isinstance(value, str) and (
+        registry.in_file(value) or registry.is_policy(value) or (key in FILES and value)
+    )
+    return locate(value) if is_path else value
 
 
 def expected(error: Any) -> tuple[str, str]:

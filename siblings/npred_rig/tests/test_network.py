@@ -12,8 +12,8 @@ from npred_rig.network import STOP, Channel
 COUNT = 20_000
 
 
-def waits(network: Channel, way: str = "samples") -> np.ndarray:
-    return np.array([network.arrival(way, k, 0.01 * k) - 0.01 * k for k in range(COUNT)])
+def waits(network: Channel, way: str = "samples", count: int = COUNT) -> np.ndarray:
+    return np.array([network.arrival(way, k, 0.01 * k) - 0.01 * k for k in range(count)])
 
 
 def test_delays_are_uniform_on_both_sides_of_the_mean():
@@ -37,6 +37,15 @@ def test_a_packet_depends_on_its_number_alone_and_ways_and_seeds_differ():
     for other in (waits(network, "commands"), waits(Channel(jitter=0.02, loss=0.1, seed=4))):
         both = np.isfinite(whole) & np.isfinite(other)
         assert abs(stats.pearsonr(whole[both], other[both]).statistic) < 0.03
+
+
+def test_packets_of_a_recorded_way_take_its_latencies():
+    quantiles = ((0.0, 0.1), (0.5, 0.2), (1.0, 1.0))
+    network = Channel(0.12, 0.02, seed=2, latencies={"samples": (0.3, math.inf, 0.1), "commands": quantiles})
+    assert np.allclose(waits(network, count=6), [0.3, math.inf, 0.1] * 2) and network.longest == 1.0
+    assert np.median(waits(network, "commands", 3000)) == pytest.approx(0.2, rel=0.05)
+    assert Channel(0.12, 0.02, latencies={"samples": (0.01, math.inf)}).longest == pytest.approx(0.14)
+    assert Channel(0.12, 0.02, latencies={"samples": 0.5}, reorder=0.1).longest == 1.0
 
 
 def test_stops_lose_all_that_is_sent_in_them():

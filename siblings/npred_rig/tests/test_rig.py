@@ -225,7 +225,7 @@ def test_a_plant_that_swings_has_a_radius_whatever_its_output_is_called(start, t
         ("measurement.delay=0.1", "got evaluate.measurement.delay;"),
         ("measurement.drop=0.1", "got evaluate.measurement.drop;"),
         ("measurement={period = 0.02, jitter = 0.1}", "got evaluate.measurement.jitter;"),
-        ("timing.overrun=0.1", "got evaluate.timing;"),
+        ("timing.overrun=0.1", "got evaluate.timing.overrun;"),
         ("X0=[1.0, 2.0]", "X0: expected shape (..., 1)"),
         ("measurement.relative_noise=[0.1, 0.2]", "measurement: expected relative_noise as one number or 1"),
     ],
