@@ -1,6 +1,7 @@
 """What an installation takes: lower bounds, and the exact versions that were tested, by name and version alone."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -53,6 +54,30 @@ def test_make_takes_the_tested_set(target: str):
     assert re.search(r"install .*--constraint constraints.txt -e ", said)
     plain = subprocess.run(["make", "-n", "-B", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert ".ci/install" in plain and "--constraint" not in plain
+
+
+PYTHON = """#!/bin/sh
+case "$*" in
+    "-m pip config list") printf '%s\\n' ":env:.index-url='b/simple'" "global.index-url='a/simple'" \\
+        "global.find-links='/x\\\\n/y'" "download.cert='no'" "install.extra-index-url='c d'" ;;
+    "-m uv "*) env | grep ^UV_; exit $FAILS ;;
+    *) echo "$*" ;;
+esac
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="make runs it by sh")
+@pytest.mark.parametrize("fails", ["0", "1"])
+def test_uv_gets_the_indexes_of_pip_and_pip_installs_where_uv_fails(tmp_path: Path, fails: str):
+    python = tmp_path / "python"
+    python.write_text(PYTHON)
+    python.chmod(0o755)
+    command = ["sh", ROOT / ".ci/install", python, "-e", "."]
+    done = subprocess.run(command, env=os.environ | {"FAILS": fails}, capture_output=True, text=True, check=True)
+    said = done.stdout.splitlines()
+    assert {"UV_DEFAULT_INDEX=b/simple", "UV_INDEX=c d", "UV_FIND_LINKS=/x,/y"} < {*said}
+    assert said[-1].startswith("-m pip install") == (fails == "1") == said[-1].endswith(" -e .")
+    assert done.stderr == ("uv could not install it; pip does\n" if fails == "1" else "")
 
 
 def test_the_version_is_the_same_everywhere_and_has_a_section_in_the_changelog():

@@ -81,26 +81,30 @@ class PipelineResults:
         every: list[Figure | None] = []
         if self.evaluation:
             every += [figures.figure1_bounded(self.evaluation), figures.figure1(self.evaluation)]
-        if self.evaluation and self.evaluated:
+        evaluation = self.evaluation if self.evaluated else None
+        if evaluation and self.evaluated:
             of_loops = (figures.certificate, figures.errors, figures.kinds, figures.box, figures.delays)
-            every += [draw(self.evaluation) for draw in of_loops]
-            every += [figures.scenarios(self.plant, self.evaluated.scenarios), figures.coverage(self.evaluation)]
+            every += [draw(evaluation) for draw in of_loops]
+            every.append(figures.scenarios(self.plant, self.evaluated.scenarios))
         every += [
             figures.certified(self.plant, self.certified, self.rollout_errors),
             figures.learning(histories) if histories else None,
             figures.speed(self.benched.rows) if self.benched else None,
+            figures.coverage(evaluation) if evaluation else None,
         ]
         return {figure.name: figure for figure in every if figure}
 
     def tables(self) -> dict[str, Table]:
         """Every table by name, in order."""
-        every: list[Table | None] = [self.certified and tables.certified(self.certified), tables.training(self.trained)]
+        every: list[Table | None] = []
         if self.evaluated:
             every += [make(self.evaluated) for make in (tables.accuracy, tables.kinds, tables.loops)]
             every.append(tables.scenarios(self.plant, self.evaluated))
-            every.append(tables.outside(self.plant, self.evaluated.coverage))
+        every += [self.certified and tables.certified(self.certified), tables.training(self.trained)]
         if self.benched:
             every += [tables.speed(self.benched.rows), tables.by_dx(self.benched.rows)]
+        if self.evaluated:
+            every.append(tables.outside(self.plant, self.evaluated.coverage))
         return {table.name: table for table in every if table}
 
 
