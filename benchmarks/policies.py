@@ -250,10 +250,13 @@ class Task:
         return self.work / f"{self.name.partition('-')[0]}.toml"
 
     def network(self, guarded: bool) -> Any:
-        network = npred.load(f"{self.pipeline}:deeponet", nx=9, store=self.work / "store", runtime="fused")
+        inner = gym.make(self.name).unwrapped
+        fine = guarded and environment.of_mujoco(inner)  # the guard reads held actions from nodes on the time steps
+        nx = 8 * max(4, inner.frame_skip) + 1 if fine else 9
+        network = npred.load(f"{self.pipeline}:deeponet", nx=nx, store=self.work / "store", runtime="fused")
         if not guarded:
             return network
-        exact = npred.predictor(network.plant, "rollout", nx=9)
+        exact = npred.predictor(network.plant, "rollout", nx=nx)
         return npred.guarded(network, TOLERANCE * float(self.policy.high.max()), exact=exact)
 
 
@@ -338,12 +341,15 @@ def table(asked: Any) -> None:
     for name in asked.names:
         task = Task(name, asked.work)
         harness.row(name, "none", task.kept(task.best), *[""] * 4)
+        noisy = task.returns(task.late(0, noisy=True), lambda o, info, act=task.policy: act(o))
+        harness.row(name, "none, noise", task.kept(noisy), *[""] * 4)
         for delay in DELAYS:
             task.row(str(delay), delay)
         task.row("random, 0 to 8", 4, jitter=4)
         task.row("8, noise", 8, noisy=True)
         task.row("8, model 10 % wrong", 8, off=True)
         task.row("8, both", 8, noisy=True, off=True)
+        task.row("4, both", 4, noisy=True, off=True)
         print({title: f"{1e3 * np.median(times):.3f} ms" for title, times in task.took.items() if title}, flush=True)
 
 

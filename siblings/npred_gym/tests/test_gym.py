@@ -217,6 +217,19 @@ def test_recorded_loops_are_data_of_the_plant(cart, tmp_path):
     np.testing.assert_allclose(P, data.P[held, -1], atol=5e-3)
 
 
+def heavier(twin):
+    twin.model.body_mass[:] *= 1.1
+    twin.model.body_inertia[:] *= 1.1
+
+
+def test_a_quiet_law_stands_on_a_model_that_is_wrong():
+    """Eight steps late it falls at once without a prediction, and stands with one whose masses are 10 % too large."""
+    late = DelayedActions(gym.make("InvertedPendulum-v5"), 8)
+    policy = lambda o: np.clip([0.722, 6.83, 0.923, 1.084] @ o, -3, 3)[None].astype(np.float32)
+    assert len(loop(late, lambda o, info: policy(o), 1000)[1]) < 30
+    assert len(loop(late, Ahead(policy, late, Simulator(late, change=heavier)), 1000)[1]) == 1000
+
+
 CART = "InvertedPendulum-v5"
 
 
