@@ -53,9 +53,9 @@ static INLINED int PART(_until_rest)(const int plans, int reserved, double room,
             return best;
         }
         if (plans == 1) {
-            PART(_roll_one)(reserved, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_one)(reserved, room, last, last + TAIL / PARTS, p, s, low, high, r);
         } else {
-            PART(_roll_many)(reserved, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_many)(reserved, room, last, last + TAIL / PARTS, p, s, low, high, r);
         }
     }
 }
@@ -78,9 +78,9 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
         }
     }
     if (loops == 1) {
-        PART(_roll_one)(0, 0, STEPS, p, s, low, high, r);
+        PART(_roll_one)(0, 0.0, 0, STEPS, p, s, low, high, r);
     } else {
-        PART(_roll_many)(0, 0, STEPS, p, s, low, high, r);
+        PART(_roll_many)(0, 0.0, 0, STEPS, p, s, low, high, r);
     }
     for (int b = 0; b < loops; b++) {
         room[b] = INFINITY;
@@ -103,9 +103,9 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
             break;
         }
         if (moves && loops == 1) {
-            PART(_roll_one)(0, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_one)(0, 0.0, last, last + TAIL / PARTS, p, s, low, high, r);
         } else if (moves) {
-            PART(_roll_many)(0, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_many)(0, 0.0, last, last + TAIL / PARTS, p, s, low, high, r);
         }
     }
 }
@@ -186,7 +186,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     for (int c = 0; c < M; c++) {
         hold[c] = U[c];
     }
-    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->ball);
+    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->shared.ball);
     LAW(1, r->ends, r->moments[0], p, law);
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
@@ -205,7 +205,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
             PART(_begin)(count, b * ENDS + e, e, p, s, first, w, r);
         }
     }
-    PART(_roll_many)(1, 0, STEPS, p, s, low, high, r);
+    PART(_roll_many)(1, ENOUGH, 0, STEPS, p, s, low, high, r);
     best = PART(_until_rest)(MANY, 1, ENOUGH, p, s, low, high, r);
     for (int c = 0; c < M && best >= 0; c++) {
         w[c] = r->w[c * count + best * ENDS];
@@ -224,7 +224,7 @@ static APART double PART(_holds)(const double *w, double room, const double *p, 
 {
     double least_room;
     PART(_begin_plan)(1, p, s, U, w, r);
-    PART(_roll_one)(1, 0, STEPS, p, s, low, high, r);
+    PART(_roll_one)(1, room, 0, STEPS, p, s, low, high, r);
     least_room = PART(_room)(r, 0);
     if (PART(_until_rest)(1, 1, room, p, s, low, high, r) < 0) {
         return least_room > room ? 0.5 : 0.0;

@@ -176,7 +176,7 @@ static inline double PART(_bend)(const Ball *b, const double *s, double radius)
 static APART int PART(_rests)(int at, int count, const double *p, const double *s, const double *low,
                               const double *high, Rollouts *r)
 {
-    Ball *const b = &r->ball;
+    Ball *const b = &r->shared.ball;
     const double t = r->t[at] + r->elapsed;
     double x[N], trace = 0.0, radius = TINIEST, slack;
     for (int c = 0; c < N; c++) {
