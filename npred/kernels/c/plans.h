@@ -28,8 +28,9 @@ typedef struct {
     double edges[BLOCKS], v[VARIABLES];
 } Plan;
 
-/* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised, 0.5 if
- * it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and the next state. */
+/* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised,
+ * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and
+ * the next state. */
 typedef struct {
     Plan last;
     double promised, withdrawn;
@@ -38,8 +39,8 @@ typedef struct {
 } Memory;
 #define REMEMBERED (sizeof(Memory) / sizeof(double))
 
-/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, v and w. They lie in
- * the scratch memory of the kernel: they are too large for the stack. */
+/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, v and w. They
+ * lie in the scratch memory of the kernel: they are too large for the stack. */
 typedef struct {
     double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST], w[M * ABREAST];
     double below[K * ABREAST], spent[K * ABREAST]; /* how far h is below the margin at `ends`, and below the reserve */
@@ -69,9 +70,9 @@ static INLINED double within(double U, double low, double high)
     return smaller(larger(U, low), high);
 }
 
-/* The rooms of element a, a limit in a lane, at the end of step i and in its middle: the minimum of the parabola through
- * h before, in and after it, or for a plan with `side` lanes a bound of it that is linear in them. Returns the reserve
- * that they lack. */
+/* The rooms of element a, a limit in a lane, at the end of step i and in its middle: the minimum of the parabola
+ * through h before, in and after it, or for a plan with `side` lanes a bound of it that is linear in them. Returns
+ * the reserve that they lack. */
 static INLINED double PART(_reserve)(const int count, const int side, int reserved, const double *restrict s, int i,
                                      int a, const Rollouts *r, double *rooms)
 {
@@ -181,8 +182,8 @@ static INLINED int PART(_left)(const int loops, double room, Rollouts *r)
     return left;
 }
 
-/* Roll `count` lanes from step `first` to step `last`: lanes of a plan with `side` for the first end, or, with side = 0,
- * of plans that are only looked at while they have that room. A plan keeps its reserve if it is `reserved`. */
+/* Roll `count` lanes from step `first` to step `last`: lanes of a plan with `side` for the first end, or, with side
+ * = 0, of plans that are only looked at while they have that room. A plan keeps its reserve if it is `reserved`. */
 static INLINED void PART(_roll)(const int count, const int side, int reserved, double room, int first, int last,
                                 const double *restrict p, const double *restrict s, const double *restrict low,
                                 const double *restrict high, Rollouts *r)
