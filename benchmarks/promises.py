@@ -338,7 +338,7 @@ def wrong(every: dict[str, Case], asked: Any) -> Iterator[list[Any]]:
                 "observer": npred.observers.EKF(plant, R=noise**2, outputs=plant.states),
                 "measurement": npred.Measurement(noise=noise),
             }),
-            (npred.SafetyFilter(delay=max(case.delay, case.dt)), {"timing": npred.Timing(jitter=JITTER)}),
+            (npred.SafetyFilter(margin=0.02 * case.size), {"timing": npred.Timing(jitter=JITTER)}),
         )  # fmt: skip
         line = [name]
         for safety, parts in ways:

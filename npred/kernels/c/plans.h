@@ -1,8 +1,10 @@
-/* Rollouts of the loop under plans, side by side. A plan is U = clip(clip(kappa(x, t) + w) + v): w is constant, v in each
- * of BLOCKS, and the last block lasts. The grid of time has STEPS steps; the steps beyond it are as long as the loop allows. kappa is
- * constant over each of the first HELD steps, and continuous on the longer ones that follow. */
+/* Rollouts of the loop under plans, side by side. A plan is U = clip(clip(kappa(x, t) + w) + v): w is constant, v in
+ * each of BLOCKS, and the last block lasts. The grid of time has STEPS steps; the steps beyond it are as long as the
+ * loop allows. kappa is constant over each of the first HELD steps, and continuous on the longer ones that follow. */
 #define LOOPS (WIDE > 1 ? MANY : 1) /* loops whose law is rolled out side by side; of plans it is MANY */
-#define ABREAST (ENDS * SIDE)       /* SIDE rollouts of a plan: itself, then one for each variable, which is moved there */
+#define SIDED (SIDE + ENDS - 1) /* rollouts of a plan: from each end, and from the first with each variable moved */
+#define ABREAST (SIDED > ENDS * MANY ? SIDED : ENDS * MANY)
+#define AT(side, e) ((e) > 0 ? (side) - 1 + (e) : 0) /* the lane of a plan from an end */
 #define TIGHT 2e-3
 #define LATER_BREACH 5e-4
 #define DIP 5e-3           /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
@@ -26,8 +28,9 @@ typedef struct {
     double edges[BLOCKS], v[VARIABLES];
 } Plan;
 
-/* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised, 0.5 if
- * it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and the next state. */
+/* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised,
+ * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and
+ * the next state. */
 typedef struct {
     Plan last;
     double promised, withdrawn;
@@ -36,8 +39,8 @@ typedef struct {
 } Memory;
 #define REMEMBERED (sizeof(Memory) / sizeof(double))
 
-/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, v and w. They lie in
- * the scratch memory of the kernel: they are too large for the stack. */
+/* Rollouts side by side, lanes innermost: the states, which go on, their first times, U of the step, v and w. They
+ * lie in the scratch memory of the kernel: they are too large for the stack. */
 typedef struct {
     double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST], w[M * ABREAST];
     double below[K * ABREAST], spent[K * ABREAST]; /* how far h is below the margin at `ends`, and below the reserve */
@@ -46,15 +49,19 @@ typedef struct {
     double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];      /* h there, before it and in its middle */
     double other[TIMED * K * ABREAST + 1];
     double least[ABREAST], strict[ABREAST]; /* of rollouts without rows the smallest room so far, and without a reserve */
-    double room[ROWS * SIDE]; /* h minus its floor, in its sizes, in each step; then the conditions made of it */
+    int idle[ABREAST]; /* lanes that need not go on: they are as the first of their end, or of no use */
+    double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
     double ends[N * ENDS], moments[ENDS], now[M], elapsed; /* of the loop that is planned for: its ends, and U */
     Plan plan;
     Memory memory;
-    Ball ball;
-    Conditions q;
+    union {
+        Ball ball;
+        Conditions q;
+    } shared; /* never both at once */
 } Rollouts;
+#define IDLE(l) (WIDE == 1 && r->idle[l]) /* where lanes share instructions, all go on */
 typedef char PART(_fits)[sizeof(Rollouts) <= WORK * sizeof(double) ? 1 : -1];
 
 /* Clip U to its bounds. */
@@ -63,38 +70,62 @@ static INLINED double within(double U, double low, double high)
     return smaller(larger(U, low), high);
 }
 
-/* The rooms of step i, from h before it, in its middle and at its end: the minimum of the parabola through these, or for
- * a plan with `side` lanes a bound of it that is linear in them. They become rows, or count in `least`. */
-static INLINED void PART(_rooms)(const int count, const int side, int reserved, const double *restrict s, int step,
-                                 Rollouts *r)
+/* The rooms of element a, a limit in a lane, at the end of step i and in its middle: the minimum of the parabola
+ * through h before, in and after it, or for a plan with `side` lanes a bound of it that is linear in them. Returns
+ * the reserve that they lack. */
+static INLINED double PART(_reserve)(const int count, const int side, int reserved, const double *restrict s, int i,
+                                     int a, const Rollouts *r, double *rooms)
+{
+    const double size = s[SIZES + a / count], decay = s[DECAYS + i], returned = 1.0 - s[RAMPS + i];
+    const double halfway = sqrt((i > 0 ? s[DECAYS + i - 1] : 1.0) * decay); /* in the middle of the step */
+    const double before = r->before[a], middle = r->between[a], end = r->h[a], below = r->below[a];
+    const double dip = below > 0.0 && decay == 1.0 ? DIP + 0.1 * below / size : 0.0;
+    const double reserve = reserved ? TIGHT - r->spent[a] * returned : LATER_BREACH * (returned - 1.0) - dip;
+    const double floor = s[MARGIN] - below * decay + reserve * size;
+    const double floor_inside = s[MARGIN] - below * halfway + reserve * size;
+    const double rise = 0.5 * (end - before), bend = end + before - 2.0 * middle;
+    const double vertex = bend > fabs(rise) ? middle - 0.5 * rise * rise / bend : end;
+    const double lower = larger(bend, 0.0) / 8.0;
+    const double at_end = side ? end - lower : smaller(end, vertex), inside = middle - (side ? lower : 0.0);
+    rooms[0] = end == end ? (at_end - floor) / size : OVERFLOWN;
+    rooms[1] = end == end ? (inside - floor_inside) / size : OVERFLOWN;
+    return reserve;
+}
+
+/* The rooms of a step become rows, with what the lanes that have `begun` differ by, or count in `least`. */
+static INLINED void PART(_rooms)(const int count, const int side, int begun, int reserved, const double *restrict s,
+                                 int step, Rollouts *r)
 {
     const int i = least(step, STEPS - 1);
-    const double decay = s[DECAYS + i], returned = 1.0 - s[RAMPS + i];
-    const double halfway = sqrt((i > 0 ? s[DECAYS + i - 1] : 1.0) * decay); /* in the middle of the step */
-    double *const before = r->before, *const middle = r->between, *const end = r->h;
+    double rooms[2];
+    for (int row = 0; row < ROOMS * ENDS && side; row++) {
+        const int half = row / ENDS % 2, first_a = row / ENDS / 2 * count, a = first_a + AT(side, row % ENDS);
+        double *const slot = r->rows + (i * ROOMS + row / ENDS) * SIDE;
+        PART(_reserve)(count, side, reserved, s, i, a, r, rooms);
+        if (!(rooms[half] < slot[0])) {
+            continue;
+        }
+        slot[0] = rooms[half];
+        PART(_reserve)(count, side, reserved, s, i, first_a, r, rooms);
+        const double unmoved = rooms[half];
+        for (int j = 1; j < side; j++) { /* from all ends it moves alike */
+            if (j < begun) {
+                PART(_reserve)(count, side, reserved, s, i, first_a + j, r, rooms);
+            }
+            slot[j] = j < begun ? rooms[half] - unmoved : 0.0;
+        }
+    }
     for (int a = 0; a < K * count; a++) {
-        const double size = s[SIZES + a / count];
-        const double dip = r->below[a] > 0.0 && decay == 1.0 ? DIP + 0.1 * r->below[a] / size : 0.0;
-        const double reserve = reserved ? TIGHT - r->spent[a] * returned : LATER_BREACH * (returned - 1.0) - dip;
-        const double floor = s[MARGIN] - r->below[a] * decay + reserve * size;
-        const double floor_inside = s[MARGIN] - r->below[a] * halfway + reserve * size;
-        const double rise = 0.5 * (end[a] - before[a]), bend = end[a] + before[a] - 2.0 * middle[a];
-        const double vertex = bend > fabs(rise) ? middle[a] - 0.5 * rise * rise / bend : end[a];
-        const double below = larger(bend, 0.0) / 8.0;
-        const double at_end = side ? end[a] - below : smaller(end[a], vertex);
-        const double inside = middle[a] - (side ? below : 0.0);
-        const double one = end[a] == end[a] ? (at_end - floor) / size : OVERFLOWN;
-        const double two = end[a] == end[a] ? (inside - floor_inside) / size : OVERFLOWN;
-        before[a] = end[a];
-        if (side) {
-            double *const room = r->room + (i * ROOMS + 2 * (a / count)) * count + a % count;
-            room[0] = one;
-            room[count] = two;
-        } else {
-            const double room = smaller(one, two);
+        if (IDLE(a % count)) {
+            continue;
+        }
+        if (!side) {
+            const double reserve = PART(_reserve)(count, side, reserved, s, i, a, r, rooms);
+            const double room = smaller(rooms[0], rooms[1]);
             r->least[a % count] = smaller(r->least[a % count], room);
             r->strict[a % count] = smaller(r->strict[a % count], room + reserve);
         }
+        r->before[a] = r->h[a];
     }
 }
 
@@ -105,7 +136,7 @@ static INLINED void PART(_between)(const int count, int i, double begin, double 
 {
     const double *const states[] = {r->x, r->middle, r->middle, r->y}, middle = 0.5 * (begin + end);
     const double decay = s[DECAYS + least(i, STEPS - 1)];
-    for (int j = 0; j < 4 && TIMED; j++) {
+    for (int j = 0; j < 4; j++) {
         LANES for (int l = 0; l < count; l++) {
             LIMITS(count, states[j] + l, r->t[l] + (j == 1 ? begin : j == 2 ? end : middle), p, r->other + l);
         }
@@ -116,9 +147,44 @@ static INLINED void PART(_between)(const int count, int i, double begin, double 
     }
 }
 
-/* Roll `count` lanes from step `first` to step `last`: lanes of a plan with `side` for each end, or, with side = 0, of
- * plans that are only looked at. A plan keeps its reserve if it is `reserved`. */
-static INLINED void PART(_roll)(const int count, const int side, int reserved, int first, int last,
+/* Let those lanes of a plan go on that v moves from this block on; how many from the first end do. */
+static INLINED int PART(_begun)(const int count, const int side, int block, Rollouts *r)
+{
+    const int begun = least(1 + (block + 1) * M, side);
+    for (int l = 1; l < begun; l++) {
+        for (int c = 0; c < N && IDLE(l); c++) {
+            r->x[c * count + l] = r->x[c * count];
+            r->rate[c * count + l] = r->rate[c * count];
+        }
+        for (int k = 0; k < K && IDLE(l); k++) {
+            r->before[k * count + l] = r->before[k * count];
+        }
+        r->idle[l] = 0;
+    }
+    return begun;
+}
+
+/* Let plans of `loops` that are only looked at, and have less room than asked for, go on no more; how many do. */
+static INLINED int PART(_left)(const int loops, double room, Rollouts *r)
+{
+    int left = 0;
+    for (int b = 0; b < loops; b++) {
+        int idle = 0;
+        for (int e = b * ENDS; e < (b + 1) * ENDS; e++) {
+            idle = idle || r->least[e] < room;
+        }
+        for (int e = b * ENDS; e < (b + 1) * ENDS && idle; e++) {
+            r->idle[e] = 1;
+            r->least[e] = OVERFLOWN;
+        }
+        left += !idle;
+    }
+    return left;
+}
+
+/* Roll `count` lanes from step `first` to step `last`: lanes of a plan with `side` for the first end, or, with side
+ * = 0, of plans that are only looked at while they have that room. A plan keeps its reserve if it is `reserved`. */
+static INLINED void PART(_roll)(const int count, const int side, int reserved, double room, int first, int last,
                                 const double *restrict p, const double *restrict s, const double *restrict low,
                                 const double *restrict high, Rollouts *r)
 {
@@ -129,6 +195,10 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
         LANES for (int l = 0; l < count; l++) {
             LIMITS(count, r->x + l, r->t[l], p, r->before + l);
             r->least[l] = r->strict[l] = INFINITY;
+            r->idle[l] = l > 0 && l < side;
+        }
+        for (int row = 0; row < STEPS * ROOMS && side; row++) {
+            r->rows[row * SIDE] = INFINITY;
         }
         for (int a = 0; a < BLOCKS * M; a++) {
             r->law[2 * a] = INFINITY;
@@ -138,17 +208,21 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
     for (int i = first; i < last; i++) {
         const double length = s[i < STEPS ? LENGTHS + i : LONGEST];
         double share;
+        int begun;
         while (block + 1 < BLOCKS && r->plan.edges[block] <= elapsed + PRECISE(1e-9, 1e-4) * length) {
             block++;
         }
         share = block + 1 < BLOCKS ? smaller((r->plan.edges[block] - elapsed) / length, 1.0) : 1.0;
+        begun = side ? PART(_begun)(count, side, block + (share < 1.0), r) : 0;
         for (int a = 0; a < M * count; a++) { /* the mean over the step */
             const double *const now = r->v + block * M * count + a;
             v[a] = share < 1.0 ? share * now[0] + (1.0 - share) * now[M * count] : now[0];
         }
         if (i > 0 && (i < HELD || side || ranged)) {
             LANES for (int l = 0; l < count; l++) {
-                LAW(count, r->x + l, r->t[l] + elapsed, p, r->U + l);
+                if (!IDLE(l) && (WIDE > 1 || i < HELD || l == 0 || l >= side)) { /* or its U is not read */
+                    LAW(count, r->x + l, r->t[l] + elapsed, p, r->U + l);
+                }
             }
             for (int a = 0; a < M * count; a++) {
                 r->U[a] += r->w[a];
@@ -156,7 +230,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
         }
         for (int c = 0; c < M; c++) {
             double *const range = r->law + 2 * (block * M + c), *const U = r->U + c * count;
-            for (int l = 0; l < count && ranged; l += side ? side : 1) {
+            for (int l = 0; l < count && ranged; l = l ? l + 1 : most(side, 1)) {
                 range[0] = smaller(range[0], within(U[l], low[c], high[c]));
                 range[1] = larger(range[1], within(U[l], low[c], high[c]));
             }
@@ -166,42 +240,62 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, i
         }
         if (i < HELD) {
             LANES for (int l = 0; l < count; l++) {
+                if (IDLE(l)) {
+                    continue;
+                }
                 STEP(count, r->x + l, r->U + l, r->t[l] + elapsed, length, p, y + l, middle + l);
             }
         } else {
             LANES for (int l = 0; l < count; l++) {
+                if (IDLE(l)) {
+                    continue;
+                }
                 ALONG(count, r->x + l, r->w + l, v + l, r->rate + l, low, high, 0.5 * s[STEP_LENGTH],
                       r->t[l] + elapsed, length, p, y + l, middle + l);
             }
         }
         LANES for (int l = 0; l < count; l++) {
+            if (IDLE(l)) {
+                continue;
+            }
             LIMITS(count, middle + l, r->t[l] + elapsed + 0.5 * length, p, r->between + l);
         }
         elapsed += length;
         LANES for (int l = 0; l < count; l++) {
+            if (IDLE(l)) {
+                continue;
+            }
             LIMITS(count, y + l, r->t[l] + elapsed, p, r->h + l);
         }
-        PART(_between)(count, i, elapsed - length, elapsed, p, s, r);
+        if (TIMED && !side) {
+            PART(_between)(count, i, elapsed - length, elapsed, p, s, r);
+        }
         for (int a = 0; a < N * count; a++) {
+            if (IDLE(a % count)) {
+                continue;
+            }
             r->rate[a] = (y[a] - r->x[a]) / length;
             r->x[a] = y[a];
         }
-        PART(_rooms)(count, side, reserved, s, i, r);
+        PART(_rooms)(count, side, begun, reserved, s, i, r);
+        if (!side && PART(_left)(count / ENDS, room, r) == 0) {
+            break;
+        }
     }
     r->elapsed = elapsed;
 }
 
 /* One plan from all ends, and MANY of them. */
-static APART void PART(_roll_one)(int reserved, int first, int last, const double *p, const double *s,
+static APART void PART(_roll_one)(int reserved, double room, int first, int last, const double *p, const double *s,
                                   const double *low, const double *high, Rollouts *r)
 {
-    PART(_roll)(ENDS, 0, reserved, first, last, p, s, low, high, r);
+    PART(_roll)(ENDS, 0, reserved, room, first, last, p, s, low, high, r);
 }
 
-static APART void PART(_roll_many)(int reserved, int first, int last, const double *p, const double *s,
+static APART void PART(_roll_many)(int reserved, double room, int first, int last, const double *p, const double *s,
                                    const double *low, const double *high, Rollouts *r)
 {
-    PART(_roll)(ENDS * MANY, 0, reserved, first, last, p, s, low, high, r);
+    PART(_roll)(ENDS * MANY, 0, reserved, room, first, last, p, s, low, high, r);
 }
 
 /* Meet loop l: take its ends, U and memory out of the lanes. Returns the smallest h at the ends. */
@@ -257,16 +351,15 @@ static inline void PART(_new)(const double *s, Plan *plan)
     }
 }
 
-/* Start the rollouts of r->plan from all ends, `side` at each, with U first, then kappa + w. */
+/* Start the rollouts of r->plan from all ends, `side` from the first, with U first, then kappa + w. */
 static inline void PART(_begin_plan)(int side, const double *p, const double *s, const double *U, const double *w,
                                      Rollouts *r)
 {
-    for (int at = 0; at < side * ENDS; at++) {
-        PART(_begin)(side * ENDS, at, at / side, p, s, U, w, r);
-    }
-    for (int j = 0; j < VARIABLES; j++) {
-        for (int at = 0; at < side * ENDS; at++) {
-            r->v[j * side * ENDS + at] = r->plan.v[j];
+    const int count = side + ENDS - 1;
+    for (int at = 0; at < count; at++) {
+        PART(_begin)(count, at, most(at - side + 1, 0), p, s, U, w, r);
+        for (int j = 0; j < VARIABLES; j++) {
+            r->v[j * count + at] = r->plan.v[j];
         }
     }
 }

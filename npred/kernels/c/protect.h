@@ -1,21 +1,23 @@
 /* PROTECT: change U only if the loop that follows would break a limit, and then by the least that keeps all limits:
- * a predictive safety filter [Wabersich, Zeilinger, Automatica 129 (2021) 109597] around the plant's law, with plans that
- * end in a place where the loop stays for good.
+ * a predictive safety filter [Wabersich, Zeilinger, Automatica 129 (2021) 109597] around the plant's law, with
+ * plans that end in a place where the loop stays for good.
  *
  * From each of the states `ends` that the plant may have when U acts, the loop is rolled out with U over the first
- * control step, then with kappa within its bounds. If every h stays above its floor, U is not changed. Otherwise a plan
- * adds v to kappa; see replan.h.
+ * control step, then with kappa within its bounds. If every h stays above its floor, U is not changed. Otherwise a
+ * plan adds v to kappa; see replan.h.
  *
- * The floor is the margin; if h is below it at `ends` already, the floor rises back to it at the rate alpha. A plan has a
- * reserve: it keeps h above its floor by TIGHT times the size of h or, if less is left at `ends`, returns to that. A
- * breach of up to LATER_BREACH times that size, the more the later it is, is left to later calls, which predict it better.
- * `kept` is the smallest h of `ends`, `filtered` is 1 if U was changed, `unkept` is 1 if no plan has half the reserve.
+ * The floor is the margin; if h is below it at `ends` already, the floor rises back to it at the rate alpha. A plan
+ * has a reserve: it keeps h above its floor by TIGHT times the size of h or, if less is left at `ends`, returns to
+ * that. A breach of up to LATER_BREACH times that size, the more the later it is, is left to later calls, which
+ * predict it better. `kept` is the smallest h of `ends`, `filtered` is 1 if U was changed, `unkept` is 1 if no plan
+ * has half the reserve.
  *
- * `promised` is 1 if U begins a plan that is known to keep all limits and to rest (resting.h): kappa alone, the plan that
- * changes U, or, after U over one control step, a brake, kappa + w, which rests near. This plan is remembered with the
- * parameters that it was made with. While it keeps the limits, and U begins no other, U is that of this plan: the next
- * call then finds it once more, wherever kappa or a set-point has gone. Set-points are so approached as far as such plans
- * reach (command governors: Garone, Di Cairano, Kolmanovsky, Automatica 75 (2017) 306). */
+ * `promised` is 1 if U begins a plan that is known to keep all limits and to rest (resting.h): kappa alone, the
+ * plan that changes U, or, after U over one control step, a brake, kappa + w, which rests near. This plan is
+ * remembered with the parameters that it was made with. While it keeps the limits, and U begins no other, U is that
+ * of this plan: the next call then finds it once more, wherever kappa or a set-point has gone. Set-points are so
+ * approached as far as such plans reach (command governors: Garone, Di Cairano, Kolmanovsky, Automatica 75 (2017)
+ * 306). */
 #define ENOUGH (-0.5 * TIGHT) /* room of a plan that has half its reserve */
 #define WORN (-TIGHT) /* room of a plan that is kept, which may use its reserve */
 #define FOLLOWED PRECISE(1e-4, 1e-3) /* of the box: what a state may be off a plan that led to it */
@@ -53,9 +55,9 @@ static INLINED int PART(_until_rest)(const int plans, int reserved, double room,
             return best;
         }
         if (plans == 1) {
-            PART(_roll_one)(reserved, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_one)(reserved, room, last, last + TAIL / PARTS, p, s, low, high, r);
         } else {
-            PART(_roll_many)(reserved, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_many)(reserved, room, last, last + TAIL / PARTS, p, s, low, high, r);
         }
     }
 }
@@ -78,9 +80,9 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
         }
     }
     if (loops == 1) {
-        PART(_roll_one)(0, 0, STEPS, p, s, low, high, r);
+        PART(_roll_one)(0, 0.0, 0, STEPS, p, s, low, high, r);
     } else {
-        PART(_roll_many)(0, 0, STEPS, p, s, low, high, r);
+        PART(_roll_many)(0, 0.0, 0, STEPS, p, s, low, high, r);
     }
     for (int b = 0; b < loops; b++) {
         room[b] = INFINITY;
@@ -103,9 +105,9 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
             break;
         }
         if (moves && loops == 1) {
-            PART(_roll_one)(0, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_one)(0, 0.0, last, last + TAIL / PARTS, p, s, low, high, r);
         } else if (moves) {
-            PART(_roll_many)(0, last, last + TAIL / PARTS, p, s, low, high, r);
+            PART(_roll_many)(0, 0.0, last, last + TAIL / PARTS, p, s, low, high, r);
         }
     }
 }
@@ -124,7 +126,8 @@ static inline void PART(_keep)(const double *w, const double *p, Rollouts *r)
     }
 }
 
-/* The U that holds a state best: least squares of the change of x in a control step, in units of the box; and the rates. */
+/* The U that holds a state best: least squares of the change of x in a control step, in units of the box; and the
+ * rates. */
 static inline void PART(_holding)(const double *x, double t, const double *p, const double *s, const double *low,
                                   const double *high, double *U, double *rate, Ball *b)
 {
@@ -174,9 +177,9 @@ static inline void PART(_holding)(const double *x, double t, const double *p, co
     }
 }
 
-/* Whether a brake keeps the limits, after U over one control step or, with `at_once`, from now on; it is kept, and U is
- * its first one. Brakes are kappa + w that hold, in place of the state, the one that it comes to in the times AHEAD at its
- * present rate; the first one is kappa itself. */
+/* Whether a brake keeps the limits, after U over one control step or, with `at_once`, from now on; it is kept, and
+ * U is its first one. Brakes are kappa + w that hold, in place of the state, the one that it comes to in the times
+ * AHEAD at its present rate; the first one is kappa itself. */
 static APART int PART(_brakes)(int at_once, const double *p, const double *s, const double *low, const double *high,
                                double *U, Rollouts *r)
 {
@@ -186,7 +189,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     for (int c = 0; c < M; c++) {
         hold[c] = U[c];
     }
-    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->ball);
+    PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->shared.ball);
     LAW(1, r->ends, r->moments[0], p, law);
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
@@ -205,7 +208,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
             PART(_begin)(count, b * ENDS + e, e, p, s, first, w, r);
         }
     }
-    PART(_roll_many)(1, 0, STEPS, p, s, low, high, r);
+    PART(_roll_many)(1, ENOUGH, 0, STEPS, p, s, low, high, r);
     best = PART(_until_rest)(MANY, 1, ENOUGH, p, s, low, high, r);
     for (int c = 0; c < M && best >= 0; c++) {
         w[c] = r->w[c * count + best * ENDS];
@@ -224,7 +227,7 @@ static APART double PART(_holds)(const double *w, double room, const double *p, 
 {
     double least_room;
     PART(_begin_plan)(1, p, s, U, w, r);
-    PART(_roll_one)(1, 0, STEPS, p, s, low, high, r);
+    PART(_roll_one)(1, room, 0, STEPS, p, s, low, high, r);
     least_room = PART(_room)(r, 0);
     if (PART(_until_rest)(1, 1, room, p, s, low, high, r) < 0) {
         return least_room > room ? 0.5 : 0.0;
@@ -269,9 +272,9 @@ static APART int PART(_goes_on)(const double *s, const double *low, const double
     return holds > 0.0;
 }
 
-/* Choose U of a loop that is within its limits, whose law alone has that room, and rests or not: U of a plan, or else of
- * the law, if it begins what is promised; else that of the plan that was promised, or of a brake; else none is. Returns
- * the room of what was chosen. */
+/* Choose U of a loop that is within its limits, whose law alone has that room, and rests or not: U of a plan, or
+ * else of the law, if it begins what is promised; else that of the plan that was promised, or of a brake; else none
+ * is. Returns the room of what was chosen. */
 static inline double PART(_choose)(double room, int rests, const double *p, const double *s, const double *low,
                                    const double *high, double *U, Rollouts *r)
 {

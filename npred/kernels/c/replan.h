@@ -5,11 +5,9 @@
 #define SETTLED 1e-4 /* of that width: a plan that changes by less is final */
 #define LESS 0.999   /* of the cost of a plan: a new plan has to cost less than this share */
 #define MISSED 1e-5  /* of the size of h */
-#define SOFT PRECISE(1e-9, 1e-5)   /* of conditions on states, whose rows have the length 1 */
-#define BOUND PRECISE(1e-13, 1e-6) /* of the bounds of v */
 
 /* Add a condition a δ >= b on variables with the weights w, as a row of length 1. */
-static inline void condition(Conditions *q, double *rows, const double *w, const double *a, double b, double soft)
+static inline void condition(Conditions *q, double *rows, const double *w, const double *a, double b)
 {
     double *const row = rows + q->rows * SIDE, length = 0.0;
     for (int c = 0; c < VARIABLES; c++) {
@@ -23,7 +21,7 @@ static inline void condition(Conditions *q, double *rows, const double *w, const
     for (int c = 0; c < VARIABLES; c++) {
         row[1 + c] = a[c] / length;
     }
-    q->soft[q->rows++] = soft;
+    q->rows++;
 }
 
 /* How long a block lasts. */
@@ -32,42 +30,42 @@ static inline double PART(_length)(const Rollouts *r, int block)
     return r->plan.edges[block] - (block > 0 ? r->plan.edges[block - 1] : 0.0);
 }
 
-/* The next plan, from conditions that are linear around v; r has the rollouts of v, and the conditions take the place of
- * their rooms. Returns its distance from v. */
-static inline double PART(_replan)(Rollouts *r, const double *s, const double *low, const double *high,
-                                   const double *moved, double *v)
+/* The next plan, from conditions that are linear around v; r has the rollouts of v, and the conditions take the place
+ * of their rooms. Returns its distance from v. */
+static inline double PART(_replan)(Rollouts *r, const double *s, const double *low, const double *high, double *v)
 {
     double *const w = r->weights, *const next = r->next, *const a = r->a, farthest = 0.0;
-    r->q.rows = 0;
+    r->shared.q.rows = 0;
     for (int j = 0; j < VARIABLES; j++) {
         w[j] = s[WIDTHS + j % M] / sqrt(PART(_length)(r, j / M));
     }
-    for (int row = 0; row < STEPS * ROOMS * ENDS; row++) {
-        const double *const room = r->room + row * SIDE;
+    for (int row = 0; row < STEPS * ROOMS; row++) {
+        const double *const room = r->rows + row * SIDE;
         double b = -room[0], reach = 0.0;
         for (int j = 0; j < VARIABLES; j++) {
-            a[j] = (room[j + 1] - room[0]) / moved[j];
+            a[j] = room[j + 1] / r->moved[j];
             b += a[j] * v[j];
             reach += fabs(a[j]) * s[WIDTHS + j % M];
         }
         if (room[0] < reach && room[0] > 0.5 * OVERFLOWN) {
-            condition(&r->q, r->room, w, a, b, SOFT);
+            condition(&r->shared.q, r->rows, w, a, b);
         }
     }
+    r->shared.q.states = r->shared.q.rows;
     for (int j = 0; j < VARIABLES; j++) { /* beyond a bound of U, v has no effect */
         for (int c = 0; c < VARIABLES; c++) {
             a[c] = 0.0;
         }
         a[j] = 1.0;
         if (isfinite(low[j % M])) {
-            condition(&r->q, r->room, w, a, smaller(low[j % M] - r->law[2 * j + 1], 0.0), BOUND);
+            condition(&r->shared.q, r->rows, w, a, smaller(low[j % M] - r->law[2 * j + 1], 0.0));
         }
         a[j] = -1.0;
         if (isfinite(high[j % M])) {
-            condition(&r->q, r->room, w, a, smaller(r->law[2 * j] - high[j % M], 0.0), BOUND);
+            condition(&r->shared.q, r->rows, w, a, smaller(r->law[2 * j] - high[j % M], 0.0));
         }
     }
-    nearest(&r->q, r->room, w, next);
+    nearest(&r->shared.q, r->rows, w, next);
     for (int j = 0; j < VARIABLES; j++) {
         farthest = larger(farthest, fabs(next[j] - v[j]) / s[WIDTHS + j % M]);
         v[j] = next[j];
@@ -110,12 +108,21 @@ static inline double PART(_moved)(const Rollouts *r, const double *s, const doub
     return (down ? -MOVED : MOVED) * s[WIDTHS + j % M];
 }
 
+/* The smallest room of a plan that was rolled out with its sides. */
+static inline double PART(_smallest)(const Rollouts *r)
+{
+    double room = INFINITY;
+    for (int row = 0; row < STEPS * ROOMS; row++) {
+        room = smaller(room, r->rows[row * SIDE]);
+    }
+    return room;
+}
+
 /* The plan, from the rest of the last one, in r->memory.last; r->plan is overwritten. Returns its smallest room. */
 static APART double PART(_plan)(const double *p, const double *s, const double *low, const double *high, Rollouts *r)
 {
-    const int count = ENDS * SIDE;
-    double *const v = r->plan.v, *const found = r->memory.last.v, *const moved = r->moved;
-    double best = -INFINITY, least_cost = INFINITY, farthest = INFINITY;
+    double *const v = r->plan.v, *const found = r->memory.last.v;
+    double room, best = -INFINITY, least_cost = INFINITY, farthest = INFINITY;
     if (r->memory.last.edges[0] > 0.0) {
         PART(_go_on)(s, &r->memory.last, &r->plan);
     } else {
@@ -123,20 +130,24 @@ static APART double PART(_plan)(const double *p, const double *s, const double *
     }
     r->memory.last = r->plan;
     PART(_begin_plan)(1, p, s, r->now, NULL, r);
-    PART(_roll_one)(1, 0, STEPS, p, s, low, high, r);
+    PART(_roll_one)(1, -INFINITY, 0, STEPS, p, s, low, high, r);
     for (int pass = 0; pass <= PASSES; pass++) {
-        double room = INFINITY, cost = 0.0;
-        PART(_begin_plan)(SIDE, p, s, r->now, NULL, r);
+        double cost = 0.0;
         for (int j = 0; j < VARIABLES; j++) {
-            moved[j] = PART(_moved)(r, s, low, high, j);
-            for (int e = 0; e < ENDS; e++) {
-                r->v[j * count + e * SIDE + j + 1] += moved[j];
+            r->moved[j] = PART(_moved)(r, s, low, high, j);
+        }
+        if (pass == PASSES || farthest < SETTLED) { /* the last one is not moved */
+            PART(_begin_plan)(1, p, s, r->now, NULL, r);
+            PART(_roll)(ENDS, 1, 1, 0.0, 0, STEPS, p, s, low, high, r);
+        }
+        if (pass < PASSES && (farthest >= SETTLED || PART(_smallest)(r) <= -MISSED)) {
+            PART(_begin_plan)(SIDE, p, s, r->now, NULL, r);
+            for (int j = 0; j < VARIABLES; j++) {
+                r->v[j * SIDED + j + 1] += r->moved[j];
             }
+            PART(_roll)(SIDED, SIDE, 1, 0.0, 0, STEPS, p, s, low, high, r);
         }
-        PART(_roll)(count, SIDE, 1, 0, STEPS, p, s, low, high, r);
-        for (int a = 0; a < STEPS * ROOMS * ENDS; a++) {
-            room = smaller(room, r->room[a * SIDE]);
-        }
+        room = PART(_smallest)(r);
         for (int j = 0; j < VARIABLES; j++) {
             const double share = v[j] / s[WIDTHS + j % M];
             cost += share * share * PART(_length)(r, j / M);
@@ -157,7 +168,7 @@ static APART double PART(_plan)(const double *p, const double *s, const double *
             }
             continue;
         }
-        farthest = PART(_replan)(r, s, low, high, moved, v);
+        farthest = PART(_replan)(r, s, low, high, v);
     }
     return best;
 }

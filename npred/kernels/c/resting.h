@@ -1,15 +1,16 @@
 /* Whether a rollout has come to a place where it stays for good.
  *
- * F(x) is the state one control step later, under kappa + w, clipped, plus v of the last block, clipped. Around a state x
- * is the ball |y - x|_S <= r, |d|_S² = dᵀ S d, with S - Aᵀ S A = 1 for the slopes A of F in units of the box (Smith's
- * doubling, SIAM J. Appl. Math. 16 (1968) 198). There |A d|_S² = |d|_S² - |d|² <= (1 - 1 / trace S) |d|_S². If F(y) - A y
- * changes by at most q |y - x|_S, q = 1 / (4 trace S), F contracts by 1 - q at least; with r >= |F(x) - x|_S / q it maps
- * the ball into itself, and has a rest there, which all its states go to (Banach). The limits hold for good if they hold
- * on the ball. U is to be clipped on all of it or nowhere. What F, kappa and h do on the ball is measured at the ends of
- * its axes, of which the root of the sum of squares is the largest change of a linear function, times SURE.
+ * F(x) is the state one control step later, under kappa + w, clipped, plus v of the last block, clipped. Around a
+ * state x is the ball |y - x|_S <= r, |d|_S² = dᵀ S d, with S - Aᵀ S A = 1 for the slopes A of F in units of the
+ * box (Smith's doubling, SIAM J. Appl. Math. 16 (1968) 198). There |A d|_S² = |d|_S² - |d|² <= (1 - 1 / trace S)
+ * |d|_S². If F(y) - A y changes by at most q |y - x|_S, q = 1 / (4 trace S), F contracts by 1 - q at least; with r
+ * >= |F(x) - x|_S / q it maps the ball into itself, and has a rest there, which all its states go to (Banach). The
+ * limits hold for good if they hold on the ball. U is to be clipped on all of it or nowhere. What F, kappa and h do
+ * on the ball is measured at the ends of its axes, of which the root of the sum of squares is the largest change of
+ * a linear function, times SURE.
  *
- * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at. A loop that never comes to
- * rest, as one that tracks, is not STILL. */
+ * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at. A loop that never
+ * comes to rest, as one that tracks, is not STILL. */
 #define DOUBLINGS 24 /* of the number of control steps that S sums over: none more would be a rest */
 #define SURE 1.5
 #define NEARBY PRECISE(1e-4, 1e-2)   /* of the box: for slopes */
@@ -176,7 +177,7 @@ static inline double PART(_bend)(const Ball *b, const double *s, double radius)
 static APART int PART(_rests)(int at, int count, const double *p, const double *s, const double *low,
                               const double *high, Rollouts *r)
 {
-    Ball *const b = &r->ball;
+    Ball *const b = &r->shared.ball;
     const double t = r->t[at] + r->elapsed;
     double x[N], trace = 0.0, radius = TINIEST, slack;
     for (int c = 0; c < N; c++) {

@@ -44,9 +44,9 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     n, m, K, needed = plant.n, plant.m, plant.limits, scratch(plant, ends)
     if needed > LARGEST:
         what = f"expected plans of at most {LARGEST >> 17} MB, got {needed >> 17} MB for {K} limits and {m} inputs"
-        raise ConfigError(f"safety: {what}; declare fewer limits" + ends // 3 * ", or take delay = 0")
+        raise ConfigError(f"safety: {what}; declare fewer limits")
     of, functions = formulas(plant)
-    variables, rows = BLOCKS * m, STEPS * 2 * K * ends + 2 * BLOCKS * m
+    variables, rows = BLOCKS * m, conditions(plant)
     timed = programs.depends([*of.trace.safe(of.trace.vector("x", n), of.trace.input("t"))], [of.trace.input("t")])
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
@@ -104,11 +104,18 @@ def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
 def scratch(plant: Plant, ends: int) -> int:
     """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
-    rows, side = STEPS * 2 * K * ends + 2 * variables, variables + 1
-    abreast = ends * side * (4 * n + 3 * m + 6 * K + variables + 3)
-    ball = (2 * n + 1) * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
-    planned = abreast + rows * (side + 2) + 8 * variables**2 + 13 * variables + BLOCKS + 2
-    return planned + ball + ends * (n + 1) + m + remembered(plant) + 1
+    rows, side, points = conditions(plant), variables + 1, 2 * n + 1
+    lanes = max(side + ends - 1, ends * MANY)
+    abreast = lanes * (4 * n + 3 * m + 6 * K + variables + 4)
+    ball = points * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
+    solved = 2 * rows + 4 * variables**2 + 7 * variables + 2
+    planned = abreast + rows * side + 7 * variables + BLOCKS + 2
+    return planned + max(ball, solved) + ends * (n + 1) + m + remembered(plant)
+
+
+def conditions(plant: Plant) -> int:
+    """Those of a plan: of each limit at the end and in the middle of a step, and on v."""
+    return STEPS * 2 * plant.limits + 2 * BLOCKS * plant.m
 
 
 def remembered(plant: Plant) -> int:
@@ -117,20 +124,21 @@ def remembered(plant: Plant) -> int:
 
 
 def operations(plant: Plant, ends: int) -> int:
-    """Floating-point operations of the longest step at most: rollouts of the law alone, a plan, three sets of brakes,
-    two plans that are looked at again; whether they rest; the programmes of a plan. A call of a function counts as one.
+    """Floating-point operations of the longest step at most: rollouts of the law alone, a plan (twice with variables
+    that are moved), three sets of brakes, two plans that are looked at again; whether they rest; the programmes of a
+    plan. A call of a function counts as one.
     """
     n, m, K, (of, functions) = plant.n, plant.m, plant.limits, formulas(plant)
     one = {name: len(OPERATIONS.findall(text)) for name, text in functions.items()}
     if of.called():
         one = {name: count + sum(map(len, map(OPERATIONS.findall, of.called()))) for name, count in one.items()}
     variables, steps = BLOCKS * m, (3 + 3 * MANY) * (STEPS + TAIL)
-    lanes = ends * (steps + STEPS + 3 * (variables + 1) * STEPS)
+    lanes = ends * (steps + 3 * STEPS) + 2 * (variables + ends) * STEPS
     rolled = lanes * (max(one["STEP"], one["ALONG"]) + one["LAW"] + 6 * one["LIMITS"] + 30 * K + 8 * m + 3 * n)
     checks, moments = ends * (3 + 3 * MANY) * (PARTS + 1), 1 if plant.rests else LATE
     points = 2 * moments * (2 * n + 1) * (one["STEP"] + one["LAW"] + one["LIMITS"] + 6 * m)
     rested = checks * (points + 24 * 6 * n**3 + 4 * moments * n**3)
-    rows, active = STEPS * 2 * K * ends + 2 * variables, 2 * variables
+    rows, active = conditions(plant), 2 * variables
     solved = 3 * active * (3 * rows * variables + 2 * active**2 * variables + active**3 // 3 + 2 * active**2)
     return int(rolled + rested + 2 * (6 * rows * variables + solved))
 
