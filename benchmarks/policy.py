@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from harness import ROOT
 import npred
 
 sys.path.insert(0, str(ROOT / "tests"))
-import policies
+policies = import_module("policies")
 
 FLAGS = ["-O2"]
 

@@ -114,7 +114,7 @@ class _Tables(Section):
     seed: Annotated[int, Field(ge=0, strict=True)] = 0  #: seed of all random numbers
     plant: str  #: a name, or `file.py:Class`
     parameters: dict[str, Number] = {}  #: overrides of the plant's
-    #: a law designed from f: "lqr", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
+    #: a law: "lqr", "policy.onnx", or a table, {law = "pole_placement", poles = [-1]}; by default the plant's
     kappa: section.Kappa | dict[str, Any] | Literal[""] = ""
     delays: list[Delay] | None = None  #: the delay of each input, if they differ; by default the plant's
     generate: Generate = Generate()
