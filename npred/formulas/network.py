@@ -90,7 +90,7 @@ class Each(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Network:
+class CalledNetwork:
     """A function of `count` numbers by its parts; it gives the slots `outputs`. Equal ones have one name."""
 
     name: str
@@ -147,7 +147,7 @@ class Network:
         return [s[..., k] for k in self.outputs]
 
 
-def network(count: int, parts: Sequence[Affine | Each], outputs: np.ndarray) -> Network:
+def network(count: int, parts: Sequence[Affine | Each], outputs: np.ndarray) -> CalledNetwork:
     """The network of such parts, named after its content."""
     digest = hashlib.sha256(f"{count} {outputs.tolist()}".encode())
     for part in parts:
@@ -156,7 +156,7 @@ def network(count: int, parts: Sequence[Affine | Each], outputs: np.ndarray) -> 
             digest.update(
                 f"{a.dtype} {a.shape}".encode() + a.tobytes() if isinstance(a, np.ndarray) else f"{a} ".encode()
             )
-    return Network(f"network_{digest.hexdigest()[:16]}", count, tuple(parts), outputs)
+    return CalledNetwork(f"network_{digest.hexdigest()[:16]}", count, tuple(parts), outputs)
 
 
 def _library(s: Array) -> Any:

@@ -92,7 +92,7 @@ class Tape:
         self.nodes: list[tuple[str, Arguments]] = []
         self._index: dict[tuple[str, Arguments], int] = {}
         self._solved: dict[int, Solution] = {}
-        self.networks: dict[str, Any] = {}  # npred.formulas.network.Network by the names that they are called by
+        self.networks: dict[str, Any] = {}  # npred.formulas.network.CalledNetwork by the names that they are called by
 
     def solve(self, A: Sequence[Vector], b: Vector) -> list[Value]:
         """y of A y = b, A symmetric positive definite; see ldl.solve. Its derivative takes the same factors."""

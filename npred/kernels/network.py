@@ -3,7 +3,7 @@
 import numpy as np
 
 from npred.formulas import programs
-from npred.formulas.network import Affine, Each, Network
+from npred.formulas.network import Affine, CalledNetwork, Each
 from npred.kernels.c_text import constant
 from npred.kernels.kernel import skeleton
 from npred.kernels.statements import CALLED, LOOP, TEXTS, statement
@@ -12,7 +12,7 @@ from npred.kernels.statements import CALLED, LOOP, TEXTS, statement
 class _Constants:
     """The constants of a network, equal ones once."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: CalledNetwork) -> None:
         self.prefix, self.texts = network.name, dict[str, str]()
 
     def name(self, values: np.ndarray) -> str:
@@ -27,7 +27,7 @@ class _Constants:
         return f"{first} + i" if is_slots and (np.diff(values) == 1).all() else f"{self.name(values)}[i]"
 
 
-def texts(network: Network, name: str) -> list[str]:
+def texts(network: CalledNetwork, name: str) -> list[str]:
     """What the function of its values needs, and it, or that of its derivative, `name` being d and the network's."""
     constants, both = _Constants(network), name != network.name
     memory = ["s", "d"] if both else ["s"]

@@ -16,7 +16,7 @@ import numpy as np
 from npred.base import json_files
 from npred.base.errors import ConfigError, first_line, required, unlisted
 from npred.formulas import Parameters, Value
-from npred.formulas.network import FORMULAS, Affine, Each, Network, network
+from npred.formulas.network import FORMULAS, Affine, CalledNetwork, Each, network
 from npred.formulas.tape import Functions
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Policy:
     Its network sees the state, or what the plant's observation(x, u, t, p, M) gives.
     """
 
-    network: Network
+    network: CalledNetwork
     file: str
     scale: float | tuple[float, ...] = 1.0
     observes: ClassVar[bool] = True  # npred.formulas.declared.call
@@ -156,13 +156,13 @@ class _Reader:
         inputs = [self.values[name] if name else None for name in node.input]
         attributes = {a.name: self.onnx.helper.get_attribute_value(a) for a in node.attribute}
         op, vary = node.op_type, [isinstance(a, Slots) for a in inputs]
-        known = node.domain in ("", "ai.onnx") and not op.startswith(RANDOM) and op[:1].isupper()
+        ours = node.domain in ("", "ai.onnx") and not op.startswith(RANDOM) and op[:1].isupper()
         try:
-            if known and (not any(vary) or op == "Shape" or (op in MOVES and (op == "Concat" or not any(vary[1:])))):
+            if ours and (not any(vary) or op == "Shape" or (op in MOVES and (op == "Concat" or not any(vary[1:])))):
                 return self._moved(node, inputs, any(vary) and op != "Shape")
-            if known and op in FORMULAS:
+            if ours and op in FORMULAS:
                 return [self._formula(op, inputs, attributes)]
-            if known and hasattr(self, op):
+            if ours and hasattr(self, op):
                 return [Slots(getattr(self, op)(*inputs, **attributes))]
         except Exception:  # of operands that are not taken
             pass

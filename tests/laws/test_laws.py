@@ -395,7 +395,11 @@ def test_a_law_in_the_exported_c_is_that_of_python(pendulum, kappa, tmp_path):
         ("unicycle", "lqr", "kappa lqr: plant unicycle: expected a linearisation that its inputs stabilise, got the r"),
         ("cart_pole", "feedback_linearisation", "outputs that leave a stable rest, got one with the rate 3.13"),
         ("planar_arm2", "sontag", "expected a V that some input makes fall near rest"),
-        ("scalar", "lqg", "kappa: expected lqr, pole_placement, feedback_linearisation, sontag, or a class of a file"),
+        (
+            "scalar",
+            "lqg",
+            "kappa: expected lqr, pole_placement, feedback_linearisation, sontag, policy, or a class of a file",
+        ),
         (
             "scalar",
             "pole_placement",
