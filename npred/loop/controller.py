@@ -272,14 +272,10 @@ class Controller(InNotebook):
                 expected, came = "X and u", "u alone" if X is None else "X alone"
             what = f"expected {expected}, for the actuator is {self.actuator!r}, got {came}"
             raise ConfigError(f"step: {what}; give what is measured")
-        now, gap, age = self._times(t, sampled_at)
-        if applied is not None and not self.keeps_commands:
-            what = "expected a controller that reads u from its commands, got one that is given u"
-            raise ConfigError(f"applied: {what}; omit it")
-        sent = None if applied is None else array_checks.floats("applied", applied)
-        if sent is not None and (sent.shape != (self.plant.m,) or not np.isfinite(sent).all()):
-            what = f"expected {self.plant.m} finite numbers, one per input"
-            raise ConfigError(f"applied: {what}, got {applied!r}; give U")
+        now, gap, age = self.memory.t, 1.0, 0.0
+        if t is not None or sampled_at is not None:
+            now, gap, age = self._times(t, sampled_at)
+        sent = None if applied is None else self._sent(applied)
         came = X is not None
         if came:
             self._measure(array_checks.floats("X", X), u, u_nodes)
@@ -296,13 +292,12 @@ class Controller(InNotebook):
         if code and before is not None:  # nothing was sent, and the commands before the first X are not known
             self._recall(before)
             raise DivergedError(self._refusal(code, came, age, booked=False))
-        if abs(now - self.memory.t) > SNAP * self.dt:
+        if t is not None and abs(now - self.memory.t) > SNAP * self.dt:
             self.memory.t0, self.memory.step = now, 0
         self.memory.step += 1
         if code:
             raise DivergedError(self._refusal(code, came, age, booked=self.keeps_commands))
         self._awaits_X = False
-        self._last_P[:], self._last_U[:] = self._P, self._U
         return self._last_U
 
     def state(self) -> dict[str, Any]:
@@ -360,8 +355,7 @@ class Controller(InNotebook):
         z = self.memory.signals
         self._Y = (z.sample if self.observer else z.Y)[:, 0]
         self._u, self._u_nodes = z.u[:, :, 0], z.u_nodes[:, :, 0]
-        self._P, self._U = z.P[:, :, 0], z.U[:, 0]
-        self._engine = Engine(self.parts, self.settings, z)
+        self._engine = Engine(self.parts, self.settings, z, kept=(self._last_P, self._last_U))
 
     def _past(self, X: np.ndarray) -> inputs.Past:
         """The commands before the first step, for the state (n,) that the law would have held."""
@@ -399,7 +393,20 @@ class Controller(InNotebook):
             age = max(float(snapped(age)), 0.0)
         return now, gap, age
 
+    def _sent(self, applied: Any) -> np.ndarray:
+        if not self.keeps_commands:
+            what = "expected a controller that reads u from its commands, got one that is given u"
+            raise ConfigError(f"applied: {what}; omit it")
+        sent = array_checks.floats("applied", applied)
+        if sent.shape != (self.plant.m,) or not np.isfinite(sent).all():
+            what = f"expected {self.plant.m} finite numbers, one per input"
+            raise ConfigError(f"applied: {what}, got {applied!r}; give U")
+        return sent
+
     def _measure(self, X: np.ndarray, u: Any, u_nodes: Any) -> None:
+        if u is None and u_nodes is None and X.shape == self._Y.shape:  # the usual case
+            self._Y[:] = X
+            return
         u = self._u if u is None else array_checks.nodes("u", u, self.plant.m)
         u_nodes = u if u_nodes is None else array_checks.nodes("u_nodes", u_nodes, self.plant.m)
         expected = self._Y.shape, self._u.shape
@@ -432,6 +439,7 @@ class Controller(InNotebook):
         state = self.memory.state()
         self._engine.call(self.t, 1.0, True, 0.0)
         self._recall(state)
+        self._last_P[:], self._last_U[:] = np.nan, 0.0
         z = self.memory.signals
         z.innovation[:] = z.error[:] = np.nan
         for signal in (z.fallback, z.kept, z.filtered, z.unkept, z.promised):

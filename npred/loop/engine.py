@@ -5,8 +5,9 @@ Python is called back, so that the order of a control step is written once.
 """
 
 import ctypes
+import struct
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -25,21 +26,20 @@ ON_A_CLOCK = ("actuator.h", "onward.h", "sensor_errors.h", "step.h", "gate.h", "
 # in a step: what is not finite, a delay beyond the kept commands, no sample that tells the state
 MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN = 1, 2, 4, 6
 INDEX, POINTER = ctypes.c_int64, ctypes.c_void_p
+CALL, CALLED = struct.Struct("4d"), ctypes.CFUNCTYPE(ctypes.c_int, POINTER)  # numbers of a call; its function
 
 
 @cache
 def loaded(files: tuple[str, ...]) -> ctypes.CDLL:
     """The compiled engine: of loops with a simulated plant, on control steps or on a clock, or for a real plant."""
     library = compiler.library(_text(files), exact=files is ON_A_PLANT)
-    real = ctypes.c_double
     signatures: dict[str, tuple[list[Any], Any]] = {
         "run": ([INDEX, INDEX, INDEX, *(POINTER,) * 6], None),
         "run_clocked": ([INDEX, INDEX, INDEX, *(POINTER,) * 7], None),
-        "called": ([real, real, ctypes.c_int, real, *(POINTER,) * 4], ctypes.c_int),
         "spreads": ([POINTER] * 4, None),
         "replaced": ([POINTER, POINTER], None),
     }
-    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["called", "spreads", "replaced"]}
+    names = {LOOP: ["run"], ON_A_CLOCK: ["run_clocked"], ON_A_PLANT: ["spreads", "replaced"]}
     for name in names[files]:
         function = getattr(library, name)
         function.argtypes, function.restype = [Shape, *signatures[name][0]], signatures[name][1]
@@ -63,13 +63,13 @@ def prepare(parts: Mapping[str, Kernel | Callable[..., Any] | None], files: tupl
 class Engine:
     """Control steps on a state, by parts: kernels, or functions in Python of the same arrays.
 
-    The record `out` is that of a simulated plant; a controller on a real one has none. `events` are those of a
-    controller on its own clock with a simulated plant.
+    The record `out` is that of a simulated plant. A controller on a real one has none; its last P (nx, n) and U (m,) go
+    into `kept`. `events` are those of a controller on its own clock with a simulated plant.
     """
 
     def __init__(
         self, parts: Mapping[str, Kernel | Callable[..., Any] | None], settings: Settings, state: State,
-        out: Record | None = None, events: Events | None = None,
+        out: Record | None = None, events: Events | None = None, kept: tuple[np.ndarray, ...] = (),
     ) -> None:  # fmt: skip
         nx, n, lanes = state.P.shape
         rows, m = state.held.shape[:2]
@@ -93,6 +93,12 @@ class Engine:
         self._structs = [signals.Pointers(**pointers), *map(signals.structure, self._arrays)]
         self._passed = [*map(ctypes.addressof, self._structs)]
         self._scratch = address(self._work)
+        if kept:  # ctypes takes a quarter of the time for one argument
+            numbers = bytearray(CALL.size)
+            self._held = [self._shape, *self._structs, self._work, *kept, self._failure.flag, np.frombuffer(numbers)]
+            addresses = (POINTER * len(self._held))(*map(address, self._held))
+            self._called = partial(CALLED(("called", loaded(ON_A_PLANT))), ctypes.addressof(addresses))
+            self._write, self._addresses = partial(CALL.pack_into, numbers, 0), addresses
 
     def run(self, origin: int, start: int, stop: int) -> None:
         """Control steps start … stop - 1 of a loop; `origin` is the ring buffers' number of step 0.
@@ -113,10 +119,13 @@ class Engine:
         """A call of a controller at time t, `gap` control steps after the last one: U, P and the next D_hat.
 
         They follow from the sample, where one `came`, taken `age` control steps ago, and from u or the commands before.
-        Returns 0, or why there is no U to send: MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN. Then the last U is booked.
+        Returns 0, P and U being kept, or why there is no U to send: MEASUREMENT, PREDICTION, TOO_LONG, UNKNOWN. Then
+        the last U is booked.
         """
-        code = loaded(ON_A_PLANT).called(self._shape, t, gap, came, age, *self._passed, self._scratch)
-        self._failure.raised()
+        self._write(t, gap, came, age)
+        code = self._called()
+        if self._failure.error is not None:
+            self._failure.raised()
         return code
 
     def replace(self, U: np.ndarray) -> None:

@@ -170,13 +170,13 @@ def fold(
 def kernel(p: Program) -> Kernel:
     """PREDICT by a program, for p.nx nodes and any number of lanes: operations are calls on constants and buffers."""
     functions = {"operations": p.operations} | ({"series": [p.series.product]} if p.series else {})
-    members = "\n".join(f"    REAL {RENAMED.get(name, name)}[{size}];" for name, size in p.buffers.items())
+    members = "\n".join(f"    LINED REAL {RENAMED.get(name, name)}[{size}];" for name, size in p.buffers.items())
     texts = [f"typedef struct {{\n    double prefix[NX];\n{members}\n}} ALIASED PART(_memory);\n"]
     for name, operations in functions.items():
         lines = "\n    ".join(line for operation in operations for line in operation.lines(_view(p)))
         texts.append(f"static void PART(_{name})(PART(_memory) *restrict q)\n{{\n    {lines}\n}}\n")
-    constants = [constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
-    doubles = sum(p.buffers.values()) + p.nx  # scratch memory, for numbers of either precision
+    constants = ["LINED " + constant(f"c_{name}", values, KINDS[values.dtype]) for name, values in p.constants.items()]
+    doubles = sum(map(p.rounded, [16, p.nx, *p.buffers.values()]))  # scratch memory, for numbers of either precision
     body = "\n".join([skeleton("network.h"), *constants, *texts, skeleton("fused.h")])
     numbers, kind = np.finfo(p.precision), KINDS[np.dtype(p.precision)]
     exp2, expm1 = (f"{{{', '.join(literal(c, kind) for c in of[p.precision])}}}" for of in (EXP2, EXPM1))

@@ -151,6 +151,20 @@ class Mirror:
 
 
 @dataclass(frozen=True)
+class Halves:
+    """The even and the odd parts (m, nodes) of `a` (nx, m) about the middle, on the first half, and zeros behind."""
+
+    even: Matrix
+    odd: Matrix
+    a: str
+    nx: int
+    m: int
+
+    def lines(self, view: View) -> list[str]:
+        return [f"halves({self.m}, {self.nx}, {self.even.row}, q->{self.a}, q->{self.even.name}, q->{self.odd.name});"]
+
+
+@dataclass(frozen=True)
 class Repeat:
     """The same operations for o = 0 … count - 1: the layers of a network, their constants stacked."""
 
@@ -162,7 +176,7 @@ class Repeat:
         return [f"for (int o = 0; o < {self.count}; o++) {{", *inner, "}"]
 
 
-Operation = Product | Dots | Silu | SiluPair | Recombine | Mirror | Repeat
+Operation = Product | Dots | Silu | SiluPair | Recombine | Mirror | Halves | Repeat
 
 
 @dataclass(frozen=True)
@@ -255,7 +269,7 @@ class Program:
 
     def rounded(self, columns: int) -> int:
         """So many columns or a few more, whole vectors."""
-        lane = TILE_BYTES // np.dtype(self.precision).itemsize
+        lane = 2 * TILE_BYTES // np.dtype(self.precision).itemsize
         return -(-columns // lane) * lane
 
     def scale(self, name: str, values: np.ndarray) -> None:

@@ -15,7 +15,7 @@ from npred.base.errors import ConfigError
 from npred.lab.config import FNO, DeepONet
 from npred.lab.training.neural import Neural
 from npred.lab.training.operators import Scaling, build
-from npred.networks.fused import Fused, coarsest
+from npred.networks.fused import Fused, coarsest, fold
 
 ANCHORS = ("none", "initial", "equilibrium")
 
@@ -71,6 +71,19 @@ def test_any_grid_in_a_call(nx):
         np.testing.assert_allclose(
             fused(data.X, data.u, data.D_hat), torch_model(data.X, data.u, data.D_hat), rtol=1e-5, atol=1e-5
         )
+
+
+@pytest.mark.parametrize("nx", [256, 257, 1001])
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_a_deeponet_on_a_fine_grid_is_exact_on_every_node(nx, inputs):
+    """By the parity of its moments, and by a few functions on each piece of the grid."""
+    plant, data = (PLANT, samples(4, 11)) if inputs == 1 else several_inputs()
+    torch.manual_seed(0)
+    model = build(SMALL[0], plant, Scaling.of(data))
+    call = data.X, data.u[:, np.arange(nx) * 10 // (nx - 1)], data.D_hat
+    wanted, fused = Neural(plant, copy.deepcopy(model).double(), nx)(*call), Fused(plant, model, nx)
+    assert ("local" in fold(model, plant, nx).constants) == (nx == 1001)
+    assert (np.abs(fused(*call) - wanted).max(axis=(0, 1)) < 2e-6 * np.abs(wanted).max(axis=(0, 1))).all()
 
 
 def test_an_fno_on_a_fine_grid_is_exact_on_every_stride_th_node_and_near_between():

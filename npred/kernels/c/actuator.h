@@ -23,6 +23,7 @@ static INLINED void transport(Shape d, INDEX k, double part, double dt, const do
     const int last = d.nx - 1;
     const INDEX wrap = k - k % d.rows, newest = part > 0.0 ? k : k - 1;
     const double now = (double)k + part;
+    const ptrdiff_t newest_row = modulo(newest, d.rows);
     for (int c = 0; c < d.m; c++) {
         for (int from = 0; from < d.lanes; from += WIDE) {
             const int width = least(WIDE, d.lanes - from);
@@ -44,7 +45,7 @@ static INLINED void transport(Shape d, INDEX k, double part, double dt, const do
                     after = i < newest ? i + 1 : newest;
                     u[row + l] = s > before[l]
                                      ? (sum_s - sum_before[l]) / (s - before[l])
-                                     : held[((ptrdiff_t)modulo(newest, d.rows) * d.m + c) * d.lanes + from + l];
+                                     : held[(newest_row * d.m + c) * d.lanes + from + l];
                     before[l] = s;
                     sum_before[l] = sum_s;
                     if (u_nodes) {

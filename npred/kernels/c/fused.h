@@ -118,7 +118,7 @@ static INLINED void PART(_lane)(int lanes, const double *X, const double *u, dou
 static inline void KERNEL(Shape d, const double *X, const double *u, const double *D_hat, double t, const double *p, double *P,
                    double *work)
 {
-    PART(_memory) *const q = (PART(_memory) *)work;
+    PART(_memory) *const q = (PART(_memory) *)(((uintptr_t)work + BYTES - 1) / BYTES * BYTES);
     (void)p;
     if (d.lanes == 1) { /* with strides that are known */
         PART(_lane)(1, X, u, D_hat[0], t, q, P);

@@ -6,7 +6,9 @@ typedef struct {
     ptrdiff_t row, column; /* element (i, k) of a view of memory v is v[i row + k column] */
 } View;
 
-#if defined __AVX__
+#if defined __AVX512VBMI2__ /* not on the first processors with vectors of 64 bytes: those slow down for them */
+#define BYTES 64
+#elif defined __AVX__
 #define BYTES 32
 #elif defined __SSE2__ || defined __ARM_NEON
 #define BYTES 16
@@ -15,10 +17,22 @@ typedef struct {
 #endif
 #if defined __AVX__ || defined __SSE2__ || defined __ARM_NEON
 typedef REAL Vector __attribute__((vector_size(BYTES), aligned(sizeof(REAL)), may_alias));
+typedef REAL Short __attribute__((vector_size(BYTES < 32 ? BYTES : 32), aligned(sizeof(REAL)), may_alias));
 #else
-typedef REAL Vector;
+typedef REAL Vector, Short;
+#endif
+#if defined __AVX512VBMI2__ && !defined __clang__
+#define WIDEST __attribute__((target("prefer-vector-width=512")))
+#else
+#define WIDEST
+#endif
+#ifdef __GNUC__
+#define LINED __attribute__((aligned(BYTES))) /* a vector that lies in two lines of the cache is read twice */
+#else
+#define LINED
 #endif
 #define LANE (BYTES / (int)sizeof(REAL)) /* columns of a vector */
+#define SHORT (int)(sizeof(Short) / sizeof(REAL)) /* of one whose columns are summed */
 #define SUMS 16 /* at most, that a tile keeps in registers */
 
 static INLINED Vector loaded(const REAL *a)
@@ -85,6 +99,10 @@ A_TILE(2, 1, 4)
 A_TILE(3, 4, 1)
 A_TILE(3, 2, 2)
 A_TILE(3, 1, 4)
+#ifdef __AVX512VBMI2__
+A_TILE(2, 3, 2)
+A_TILE(6, 2, 1)
+#endif
 
 /* Rows of the columns from j on, as many at a time as there are. */
 #define TILE_ROWS(count, vectors)                                                                                      \
@@ -111,12 +129,21 @@ static INLINED void product(int rows, int terms, int n, int panel, REAL *out, Vi
     int j = 0;
     from = adds ? to : from;
     if (by.column == 1 && to.column == 1) {
+#ifdef __AVX512VBMI2__ /* as many columns, in half as many vectors */
+        if (rows == 1) {
+            TILE_COLUMNS(4, TILE_ROWS(1, 4))
+        } else if (rows == 2) {
+            TILE_COLUMNS(3, TILE_ROWS(2, 3))
+        }
+        TILE_COLUMNS(2, TILE_ROWS(6, 2) TILE_ROWS(3, 2) TILE_ROWS(2, 2) TILE_ROWS(1, 2))
+#else
         if (rows == 1) {
             TILE_COLUMNS(8, TILE_ROWS(1, 8))
         } else if (rows == 2) {
             TILE_COLUMNS(6, TILE_ROWS(2, 6))
         }
         TILE_COLUMNS(4, TILE_ROWS(3, 4) TILE_ROWS(2, 4) TILE_ROWS(1, 4))
+#endif
         TILE_COLUMNS(2, TILE_ROWS(3, 2) TILE_ROWS(2, 2) TILE_ROWS(1, 2))
         TILE_COLUMNS(1, TILE_ROWS(3, 1) TILE_ROWS(2, 1) TILE_ROWS(1, 1))
     }
@@ -138,21 +165,21 @@ static INLINED void product(int rows, int terms, int n, int panel, REAL *out, Vi
 SPARE static INLINED void dots(int rows, int terms, int n, REAL *out, View to, const REAL *a, View of, const REAL *b, View by,
                          const REAL *bias, View from)
 {
-    const int tiled = terms - terms % LANE;
+    const int tiled = terms - terms % SHORT;
     for (int i = 0; i < rows; i++) {
         for (int j = 0; j < n; j++) {
             const REAL *const x = a + i * of.row, *const y = b + j * by.row;
-            Vector sums = {0}, others = {0};
+            Short sums = {0}, others = {0};
             REAL sum = bias ? bias[i * from.row + j * from.column] : 0;
-            for (int k = 0; k + LANE < tiled; k += 2 * LANE) {
-                sums += loaded(x + k) * loaded(y + k);
-                others += loaded(x + k + LANE) * loaded(y + k + LANE);
+            for (int k = 0; k + SHORT < tiled; k += 2 * SHORT) {
+                sums += *(const Short *)(x + k) * *(const Short *)(y + k);
+                others += *(const Short *)(x + k + SHORT) * *(const Short *)(y + k + SHORT);
             }
-            if (tiled % (2 * LANE)) {
-                sums += loaded(x + tiled - LANE) * loaded(y + tiled - LANE);
+            if (tiled % (2 * SHORT)) {
+                sums += *(const Short *)(x + tiled - SHORT) * *(const Short *)(y + tiled - SHORT);
             }
             sums += others;
-            for (int k = 0; k < LANE; k++) {
+            for (int k = 0; k < SHORT; k++) {
                 sum += ((const REAL *)&sums)[k];
             }
             for (int k = tiled; k < terms; k++) {
@@ -195,32 +222,27 @@ SPARE static inline void refine(int rows, int nodes, int stride, const REAL *a, 
 
 #define BLOCK 64 /* numbers that an activation takes at a time */
 
-/* y = -x log2(e), within what an exponent holds. One bound after the other: of both at once compilers make branches. */
-static inline void exponents(int width, const REAL *x, REAL *y)
-{
-    for (int j = 0; j < width; j++) {
-        const REAL scaled = x[j] * (REAL)-1.4426950408889634;
-        y[j] = scaled > (REAL)(1 - EXPONENT) ? scaled : (REAL)(1 - EXPONENT); /* NaN too */
-    }
-    for (int j = 0; j < width; j++) {
-        y[j] = y[j] < (REAL)(EXPONENT - 1) ? y[j] : (REAL)(EXPONENT - 1);
-    }
-}
+typedef union {
+    REAL number;
+    INTEGER bits;
+} Bits;
 
-/* 1 + 2^y: the nearest whole number by the exponent's bits, and 2^f on [-1/2, 1/2] to rounding. A number plus 1.5 times
- * 2^MANTISSA has its whole part in the last bits. */
-static inline REAL one_plus_exp(REAL y)
+/* 1 + e^-x within half of what an exponent holds, also of NaN: the nearest whole number of -x log2(e) by the exponent's
+ * bits, and 2^f on [-1/2, 1/2] to rounding. A number plus 1.5 times 2^MANTISSA has its whole part in the last bits. Bounds
+ * are compared as bits: the least of signed ones for numbers above 0, of unsigned ones for those below. */
+static INLINED REAL one_plus_exp(REAL x)
 {
     static const REAL terms[] = EXP2;
     const int count = (int)(sizeof terms / sizeof *terms);
-    const REAL large = (REAL)1.5 * (REAL)((INTEGER)1 << MANTISSA);
-    union {
-        REAL number;
-        INTEGER bits;
-    } whole = {y + large}, power;
-    const REAL f = y - (whole.number - large);
-    REAL value = terms[count - 1];
-    power.bits = (INTEGER)((UNSIGNED)whole.bits << MANTISSA) + ((INTEGER)EXPONENT << MANTISSA);
+    const REAL scale = (REAL)-1.4426950408889634, large = (REAL)1.5 * (REAL)((INTEGER)1 << MANTISSA) + (REAL)EXPONENT;
+    const Bits high = {(REAL)(EXPONENT / 2 * 0.6931471805599453)}, low = {-high.number};
+    Bits near = {x}, whole, power;
+    REAL f, value = terms[count - 1];
+    near.bits = near.bits < high.bits ? near.bits : high.bits;
+    near.bits = (UNSIGNED)near.bits < (UNSIGNED)low.bits ? near.bits : low.bits;
+    whole.number = near.number * scale + large;
+    f = near.number * scale - (whole.number - large);
+    power.bits = (INTEGER)((UNSIGNED)whole.bits << MANTISSA);
 UNROLLED
     for (int i = count - 2; i >= 0; i--) {
         value = terms[i] + f * value;
@@ -228,8 +250,22 @@ UNROLLED
     return (REAL)1 + power.number * value;
 }
 
+/* y = 1 / (1 + e^-x): a division, the dearest operation, for two of them. */
+static INLINED void logistic(int width, const REAL *x, REAL *y)
+{
+    const int half = width / 2;
+    LANES for (int j = 0; j < half; j++) {
+        const REAL one = one_plus_exp(x[j]), two = one_plus_exp(x[half + j]), both = 1 / (one * two);
+        y[j] = two * both;
+        y[half + j] = one * both;
+    }
+    if (width % 2) {
+        y[width - 1] = 1 / one_plus_exp(x[width - 1]);
+    }
+}
+
 /* e^d - 1 on [-1/2, 1/2]. */
-static inline REAL change_of_exp(REAL d)
+static INLINED REAL change_of_exp(REAL d)
 {
     static const REAL terms[] = EXPM1;
     const int count = (int)(sizeof terms / sizeof *terms);
@@ -241,14 +277,14 @@ UNROLLED
     return d * value;
 }
 
-SPARE static inline void silu(int count, const REAL *a, REAL *out)
+SPARE WIDEST static APART void silu(int count, const REAL *a, REAL *out)
 {
-    REAL y[BLOCK];
+    REAL s[BLOCK];
     for (int i = 0; i < count; i += BLOCK) {
         const int width = least(BLOCK, count - i);
-        exponents(width, a + i, y);
-        LANES for (int j = 0; j < width; j++) {
-            out[i + j] = a[i + j] / one_plus_exp(y[j]);
+        logistic(width, a + i, s);
+        for (int j = 0; j < width; j++) {
+            out[i + j] = a[i + j] * s[j];
         }
     }
 }
@@ -256,22 +292,21 @@ SPARE static inline void silu(int count, const REAL *a, REAL *out)
 /* Of rows (difference, rest): silu(rest + difference) - silu(rest), and silu(rest). With s the logistic function and
  * d = b - a: silu(b) - silu(a) = d s(b) + a (s(b) - s(a)), and for small d s(b) - s(a) = s(a) (1 - s(b)) (e^d - 1), which
  * cancels nothing. */
-SPARE static inline void silu_pair(int count, const REAL *a, REAL *out)
+SPARE WIDEST static APART void silu_pair(int count, const REAL *a, REAL *out)
 {
-    REAL y[BLOCK], sum[BLOCK], y_rest[BLOCK];
+    REAL s[BLOCK], sum[BLOCK], s_rest[BLOCK];
     for (int i = 0; i < count; i += BLOCK) {
         const REAL *const d = a + i, *const rest = d + count;
         const int width = least(BLOCK, count - i);
         for (int j = 0; j < width; j++) {
             sum[j] = rest[j] + d[j];
         }
-        exponents(width, sum, y);
-        exponents(width, rest, y_rest);
+        logistic(width, sum, s);
+        logistic(width, rest, s_rest);
         LANES for (int j = 0; j < width; j++) {
-            const REAL s_rest = 1 / one_plus_exp(y_rest[j]), s = 1 / one_plus_exp(y[j]);
-            const REAL small = s_rest * (1 - s) * change_of_exp(d[j]), size = d[j] < 0 ? -d[j] : d[j];
-            out[count + i + j] = rest[j] * s_rest;
-            out[i + j] = d[j] * s + rest[j] * (size < (REAL)0.5 ? small : s - s_rest);
+            const REAL small = s_rest[j] * (1 - s[j]) * change_of_exp(d[j]), size = d[j] < 0 ? -d[j] : d[j];
+            out[count + i + j] = rest[j] * s_rest[j];
+            out[i + j] = d[j] * s[j] + rest[j] * (size < (REAL)0.5 ? small : s[j] - s_rest[j]);
         }
     }
 }
@@ -288,6 +323,22 @@ SPARE static inline void mirror(int rows, int nx, const REAL *even, View of_even
         for (int j = 0; j < (nx + 1) / 2; j++) {
             out[i * to.row + j * to.column] =
                 even[i * of_even.row + j * of_even.column] + odd[i * of_odd.row + j * of_odd.column];
+        }
+    }
+}
+
+/* The even and odd parts (m, width) of v (nx, m) about the middle, on the first half, and zeros behind. */
+SPARE static inline void halves(int m, int nx, int width, const REAL *v, REAL *even, REAL *odd)
+{
+    for (int c = 0; c < m; c++) {
+        for (int j = 0; j < nx / 2; j++) {
+            const REAL a = v[j * m + c], b = v[(nx - 1 - j) * m + c];
+            even[c * width + j] = a + b;
+            odd[c * width + j] = a - b;
+        }
+        for (int j = nx / 2; j < width; j++) {
+            even[c * width + j] = 2 * j == nx - 1 ? v[j * m + c] : 0;
+            odd[c * width + j] = 0;
         }
     }
 }

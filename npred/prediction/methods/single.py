@@ -20,23 +20,27 @@ class Prepared:
     X, u, D_hat and t stand side by side in `inputs`, so that one sum, a product with 1, tells whether all are finite.
     """
 
-    def __init__(self, n: int, m: int, nx: int, p: np.ndarray, chain: Sequence[tuple[Kernel, Any, int]]) -> None:
+    def __init__(
+        self, n: int, m: int, shape: tuple[int, ...], p: np.ndarray, chain: Sequence[tuple[Kernel, Any, int]]
+    ) -> None:
+        nx = shape[0]
         self.inputs = np.zeros(n + nx * m + 2)
         self.ones, self.P = np.ones_like(self.inputs), np.empty((nx, n, 1))
-        self.X, self.u = self.inputs[:n], self.inputs[n:-2]
+        self.X, u = self.inputs[:n], self.inputs[n:-2].reshape(nx, m)
         D_hat, t = self.inputs[-2:-1], ctypes.c_double.from_address(address(self.inputs[-1:]))
-        head = self.X[:, None], self.u.reshape(nx, m, 1), D_hat, t, p
+        head = self.X[:, None], u[:, :, None], D_hat, t, p
+        self.u, self.answer = u.reshape(shape), self.P[:, :, 0]
         self.calls = [run.bound(*head, *before, self.P, *np.empty((count, 1))) for run, before, count in chain]
 
     def __call__(self, X: np.ndarray, u: np.ndarray, D_hat: float, t: float) -> np.ndarray | None:
         """P (nx, n); None for inputs that are not finite, or a negative delay."""
-        self.X[:], self.u[:] = X, u.reshape(-1)
+        self.X[:], self.u[:] = X, u
         self.inputs[-2], self.inputs[-1] = D_hat, t
         if not (D_hat >= 0.0 and math.isfinite(self.ones.dot(self.inputs))):
             return None
         for call in self.calls:
             call()
-        return self.P[:, :, 0].copy()
+        return self.answer.copy()
 
 
 class SingleCalls(threading.local):
@@ -69,4 +73,4 @@ class SingleCalls(threading.local):
         chain = self.chain(nx) if m == self.m and nx > 1 else None
         if chain is None or not all(isinstance(run, Kernel) for run, *_ in chain):
             return None
-        return Prepared(*self.shape, m, nx, self.p, chain)
+        return Prepared(*self.shape, m, shape, self.p, chain)
