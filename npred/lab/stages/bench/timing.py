@@ -54,6 +54,8 @@ def affordable(call: Call, count: int, seconds: float) -> int:
         return count
     quickest = max(_clock(call, range(WARM_UP)).min() / 1e9, 1e-9)
     few, most = (min(count, max(LEAST, share * seconds / quickest)) for share in (SHARE, 1.0))
+    if few == most:
+        return int(most)
     low, median, high = np.quantile(_clock(call, range(int(min(few, PROBE)))), (0.25, 0.5, 0.75))
     deviation = (high - low) / 1.349 / max(median, 1.0)
     needed = (1.96 * 1.253 * deviation / INTERVAL) ** 2  # the median's error is 1.253 times that of the mean
