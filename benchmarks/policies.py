@@ -61,7 +61,7 @@ class Stacked(gym.ObservationWrapper):
         return super().reset(**options)
 
     def step(self, action):
-        self.sent = [*self.sent[1:], action]
+        self.sent = [*self.sent, action][1:]
         return super().step(action)
 
     def observation(self, observation):

@@ -34,7 +34,7 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
         raise ConfigError(f"plant: {what}, got {inner}; declare a plant with f")
     mujoco = environment.engine()
     space, alone, tell = env.action_space, Lock(), state or state_of(env)
-    starts = np.array([_reset(env, seed) for seed in range(RESETS)])
+    starts = np.array([_vector(env.unwrapped) for seed in range(RESETS) if env.reset(seed=seed)])
     other = environment.twin(env)
     model, data, n = other.model, other.data, other.model.nq
 
@@ -80,11 +80,6 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
         "kappa": staticmethod(lambda X, t, p: np.array([policy(observe(x)) for x in X], dtype=float)),
         "_state": staticmethod(lambda observation: np.concatenate(tell(observation))),
     })  # fmt: skip
-
-
-def _reset(env: gym.Env, seed: int) -> np.ndarray:
-    env.reset(seed=seed)
-    return _vector(env.unwrapped)
 
 
 def _vector(inner: Any) -> np.ndarray:

@@ -12,8 +12,6 @@ from npred.prediction.methods import Predictor, numerical
 from npred_gym import environment
 from npred_gym.path import HeldAction
 
-NODES = 11  # of a piece, for a plant without a predictor
-
 
 class Model:
     """The observation after the pieces, by a predictor of npred, or by RK4 for a plant.
@@ -30,7 +28,7 @@ class Model:
     ) -> None:  # fmt: skip
         if not isinstance(predictor, Plant | Predictor):
             raise ConfigError(f"predictor: expected a plant or a predictor, got {predictor!r}; make one with npred")
-        self.predictor = numerical("rk4", predictor, NODES) if isinstance(predictor, Plant) else predictor
+        self.predictor = numerical("rk4", predictor, 11) if isinstance(predictor, Plant) else predictor
         declared = self.predictor.plant.declaration
         self.state = state or getattr(declared, "_state", np.asarray)
         self.observe = observe or getattr(declared, "_observe", np.asarray)
