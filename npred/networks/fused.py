@@ -104,10 +104,10 @@ class Loaded(Predictor):
         return self.fused.on(self.nx)
 
 
-def coarsest(nx: int, least: int = COARSE) -> int:
-    """The largest stride that divides the intervals and leaves so many of them, or 1."""
+def coarsest(nx: int) -> int:
+    """The largest stride that divides the intervals and leaves COARSE of them, or 1."""
     intervals = nx - 1
-    return max(s for s in range(1, max(intervals // least, 1) + 1) if intervals % s == 0)
+    return max(s for s in range(1, max(intervals // COARSE, 1) + 1) if intervals % s == 0)
 
 
 def lowering(operator: TrainedOperator) -> str:

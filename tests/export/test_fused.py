@@ -88,7 +88,7 @@ def test_a_deeponet_on_a_fine_grid_is_exact_on_every_node(nx, inputs):
 
 def test_an_fno_on_a_fine_grid_is_exact_on_every_stride_th_node_and_near_between():
     model, data = operator(FNO(width=6, modes=4, layers=2)), samples(3, 203)
-    assert (coarsest(101), coarsest(1001), coarsest(203), coarsest(51, 20), coarsest(51, 50)) == (1, 10, 2, 2, 1)
+    assert (coarsest(101), coarsest(1001), coarsest(203)) == (1, 10, 2)
     fused, torch_model = Fused(PLANT, model, 203), Neural(PLANT, copy.deepcopy(model), 203)
     found, wanted = (run(data.X, data.u, data.D_hat) for run in (fused, torch_model))
     coarse = Neural(PLANT, copy.deepcopy(model), 102)(data.X, data.u[:, ::2], data.D_hat)

@@ -22,7 +22,7 @@ from npred.lab.training.data import shards
 from npred.loop import metrics
 from npred.loop.closed_loop import Trajectories
 from npred.loop.trajectory_views import at_bound
-from npred.networks.fused import Fused, coarsest, lowering
+from npred.networks.fused import Fused, lowering
 from npred.networks.weights import read
 from npred.prediction.methods import Predictor, numerical
 
@@ -119,17 +119,14 @@ def _title(result: Evaluated) -> str:
 def load_network(job: Job, network_id: PredictorId) -> Predictor:
     """The fused network, as it is deployed but in double precision: in float32 an FNO's loops end 3e-6 away.
 
-    An FNO is evaluated on no more nodes than it needs to have those that it was trained on, with cubics between.
     A network that cannot be lowered is evaluated by torch.
     """
     model, epoch, name, nx = network_id.model, network_id.epoch, network_id.name, job.config.evaluate.nx
-    table = job.config.train.table(model)
-    operator = read(job.inputs[model], job.plant, epoch, np.float64, table)
+    operator = read(job.inputs[model], job.plant, epoch, np.float64, job.config.train.table(model))
     if not lowering(operator) and epoch is None:
         job.progress.note(f"evaluate: {model} is evaluated by torch, for it has no fused form")
     if job.device == "cpu" and lowering(operator):
-        stride = coarsest(nx, table.nodes - 1) if table.nodes else None
-        return Fused(job.plant, operator, nx, name, stride, np.float64)
+        return Fused(job.plant, operator, nx, name, precision=np.float64)
     return runtimes.predictor("torch", job.plant, operator, nx, name, job.device)
 
 
