@@ -43,7 +43,7 @@ types: dev ## types
 docs: dev ## the documentation, in docs/_build/html; a warning is an error
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs docs/_build/html
 
-cortex-m: install ## the controller of MODEL on a Cortex-M in QEMU: flash, RAM, stack, instructions, the host's results
+cortex-m: dev ## the controller of MODEL on a Cortex-M in QEMU: flash, RAM, stack, instructions, the host's results
 	$(BIN)/python benchmarks/cortex_m.py $(or $(MODEL),$(PIPELINE):deeponet)
 
 check: lint types test docs ## lint, types, tests and documentation

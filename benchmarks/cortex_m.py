@@ -2,8 +2,9 @@
 
     python benchmarks/cortex_m.py pipeline/paper.toml:deeponet --store artifacts
 
-It exports the controller of the pipeline's evaluated loop, and one with a safety filter, cross-compiles it with
-arm-none-eabi-gcc -O2 and runs it in QEMU (mps2-an386, a Cortex-M4F, in float; mps2-an500, a Cortex-M7, in double).
+It exports the controller of the pipeline's evaluated loop, one with a safety filter, and one whose law is a policy (of
+npred[onnx]), cross-compiles them with arm-none-eabi-gcc -O2 and runs them in QEMU (mps2-an386, a Cortex-M4F, in float;
+mps2-an500, a Cortex-M7, in double).
 Flash and RAM are those of a program with nothing else, the C library's functions included; the stack is what the steps
 overwrite of a painted one. With `-icount` QEMU's clock runs 1 ns per instruction and SysTick counts it at 25 MHz, which
 gives instructions, not cycles: QEMU has no pipeline, no cache and no flash that is slow.
@@ -12,7 +13,9 @@ gives instructions, not cycles: QEMU has no pipeline, no cache and no flash that
 import json
 import re
 import subprocess
+import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 import harness
@@ -88,6 +91,20 @@ def filtered() -> Controller:
     return npred.controller(plant, heun, None, 0.01, D_hat=0.3, actuator="history", safety=kept)
 
 
+def learned(folder: Path) -> Controller:
+    """A pendulum whose law is a policy of 64 x 64, with RK4 on 20 steps; its file is put into the folder."""
+    sys.path.insert(0, str(harness.ROOT / "tests"))
+    policies = import_module("policies")
+    plant = type("Pendulum", (), {
+        "states": ("angle", "rate"), "inputs": ("torque",), "box": {"angle": (-1.0, 1.0), "rate": (-1.0, 1.0)},
+        "f": lambda x, u, t, p, M: [x.rate, M.sin(x.angle) - 0.2 * x.rate + u.torque],
+        "observation": lambda x, u, t, p, M: [M.cos(x.angle), M.sin(x.angle), x.rate],
+    })  # fmt: skip
+    policies.TORCH["pendulum"] = lambda: policies.mlp([3, 64, 64, 1], policies.nn.Tanh)
+    plant = npred.plant(plant, kappa=str(policies.of_torch("pendulum", folder)))
+    return npred.controller(plant, npred.predictor(plant, "rk4", 21), None, 0.02, D_hat=0.2)
+
+
 def write(controller: Controller, precision: str, folder: Path) -> None:
     """Put npred.h and npred.c of a controller into the folder."""
     for text, suffix in zip(c_controller.sources(controller, precision=precision), "hc", strict=True):
@@ -103,8 +120,9 @@ def main() -> None:
             results[f"{kind}, {precision}"] = measure(Path(name), precision)
     for precision in BOARDS:
         with tempfile.TemporaryDirectory() as name:
-            write(filtered(), precision, Path(name))
-            results[f"heun, filter, {precision}"] = measure(Path(name), precision)
+            for kind, controller in {"heun, filter": filtered(), "rk4, policy": learned(Path(name))}.items():
+                write(controller, precision, Path(name))
+                results[f"{kind}, {precision}"] = measure(Path(name), precision)
     if options.json:
         print(json.dumps(results, indent=2))
         return

@@ -14,7 +14,6 @@ import tempfile
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import c_controller
 import cortex_m
@@ -22,24 +21,10 @@ import harness
 import numpy as np
 from harness import ROOT
 
-import npred
-
 sys.path.insert(0, str(ROOT / "tests"))
 policies = import_module("policies")
 
 FLAGS = ["-O2"]
-
-
-def controller(folder: Path) -> Any:
-    """The controller of a pendulum whose law is a policy of 64 x 64."""
-    plant = type("Pendulum", (), {
-        "states": ("angle", "rate"), "inputs": ("torque",), "box": {"angle": (-1.0, 1.0), "rate": (-1.0, 1.0)},
-        "f": lambda x, u, t, p, M: [x.rate, M.sin(x.angle) - 0.2 * x.rate + u.torque],
-        "observation": lambda x, u, t, p, M: [M.cos(x.angle), M.sin(x.angle), x.rate],
-    })  # fmt: skip
-    policies.TORCH["pendulum"] = lambda: policies.mlp([3, 64, 64, 1], policies.nn.Tanh)
-    plant = npred.plant(plant, kappa=str(policies.of_torch("pendulum", folder)))
-    return npred.controller(plant, npred.predictor(plant, "rk4", 21), None, 0.02, D_hat=0.2)
 
 
 def main() -> None:
@@ -51,7 +36,7 @@ def main() -> None:
         harness.head("U by", "from onnxruntime", "from the reference")
         for route, U in policies.routes(policies.in_one_law(files), folder).items():
             harness.row(route, *(f"{np.abs(U - referee).max():.1e}" for referee in referees))
-        of = controller(folder)
+        of = cortex_m.learned(folder)
         harness.head("precision", "µs", "s to compile", "flash KiB", "RAM KiB", "stack B", "instructions", "difference")
         for precision in cortex_m.BOARDS:
             cortex_m.write(of, precision, folder)

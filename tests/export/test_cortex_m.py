@@ -39,6 +39,13 @@ def test_a_safety_filter_runs_there(tmp_path, precision, limit):
     assert row["difference"] <= limit and row["stack"] < 4000 and row["ram"] > 10_000
 
 
+@pytest.mark.parametrize(("precision", "limit"), [("float", 1e-5), ("double", 0.0)])
+def test_a_policy_is_the_law_there(tmp_path, precision, limit):
+    cortex_m.write(cortex_m.learned(tmp_path), precision, tmp_path)
+    row = cortex_m.measure(tmp_path, precision)
+    assert row["difference"] <= limit and row["stack"] < 4096 and row["flash"] > 4 * 64 * 64
+
+
 @pytest.mark.parametrize(("precision", "kind", "limit"), [("float", np.float32, 2e-4), ("double", np.float64, 2e-9)])
 @pytest.mark.parametrize("made_of", [measured, recalled, with_a_clock])
 def test_its_steps_are_the_host_s_and_its_sizes_are_small(tmp_path, made_of, precision, kind, limit):
