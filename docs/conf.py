@@ -54,6 +54,6 @@ nitpicky = True
 nitpick_ignore_regex = [
     ("py:.*", r"(numpy|np|torch|pathlib|collections|typing|pydantic|h5py|types)\..*|optional"),
     ("py:class", r"Neural|Fused|Onnx|npred\.(base\.registry\.Source|kernels\.kernel\.Kernel|loop\.loop\.\w+Parts)"),
-    ("py:class", r"npred\.(identification\.identify\.Reading|exports\.FormatOptions)"),
+    ("py:class", r"npred\.(laws\.policy\.Policy|identification\.identify\.Reading|exports\.FormatOptions)"),
     ("py:class", r"npred\.lab\.(config\..*|scheduler\.runs\.Kind|training\.operators\.scaling\.Scaling)"),
 ]

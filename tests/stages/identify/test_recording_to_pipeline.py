@@ -174,12 +174,12 @@ def test_a_range_is_accepted_and_the_estimate_searches_it(folder: Path):
 
 def test_several_recordings_are_one_question(folder: Path):
     shutil.copy(LOG, folder / "more.csv")
-    answer = json.loads(call("log.csv", "more.csv", *FLAGS, "--hold", "linear", "--json").stdout)
+    answer = json.loads(call("log.csv", "more.csv", *FLAGS, "--json").stdout)
     assert answer["files"] == ["log.html", "log.toml"]
     assert "log.csv, more.csv" in (folder / "log.html").read_text()
     assert (folder / "log.toml").read_text().startswith("# made by npred identify log.csv more.csv")
     (folder / "more.csv").write_text((folder / "more.csv").read_text().replace("0.98848", "0.98849"))
-    assert call("log.csv", "more.csv", *FLAGS, "--hold", "linear").exit_code == 0
+    assert call("log.csv", "more.csv", *FLAGS).exit_code == 0
     assert len(list((folder / "artifacts" / "identify").iterdir())) == 2
 
 
