@@ -22,9 +22,9 @@ typedef REAL Short __attribute__((vector_size(BYTES < 32 ? BYTES : 32), aligned(
 typedef REAL Vector, Short;
 #endif
 #if defined __AVX512VBMI2__ && !defined __clang__
-#define WIDEST __attribute__((target("prefer-vector-width=512")))
+#define VECTORS_64 __attribute__((target("prefer-vector-width=512")))
 #else
-#define WIDEST
+#define VECTORS_64
 #endif
 #ifdef __GNUC__
 #define LINED __attribute__((aligned(BYTES))) /* a vector that lies in two lines of the cache is read twice */
@@ -277,7 +277,7 @@ UNROLLED
     return d * value;
 }
 
-SPARE WIDEST static APART void silu(int count, const REAL *a, REAL *out)
+SPARE VECTORS_64 static APART void silu(int count, const REAL *a, REAL *out)
 {
     REAL s[BLOCK];
     for (int i = 0; i < count; i += BLOCK) {
@@ -292,7 +292,7 @@ SPARE WIDEST static APART void silu(int count, const REAL *a, REAL *out)
 /* Of rows (difference, rest): silu(rest + difference) - silu(rest), and silu(rest). With s the logistic function and
  * d = b - a: silu(b) - silu(a) = d s(b) + a (s(b) - s(a)), and for small d s(b) - s(a) = s(a) (1 - s(b)) (e^d - 1), which
  * cancels nothing. */
-SPARE WIDEST static APART void silu_pair(int count, const REAL *a, REAL *out)
+SPARE VECTORS_64 static APART void silu_pair(int count, const REAL *a, REAL *out)
 {
     REAL s[BLOCK], sum[BLOCK], s_rest[BLOCK];
     for (int i = 0; i < count; i += BLOCK) {
