@@ -364,13 +364,13 @@ def candidate(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
     return (least + z[:n] * (most - least))[None], before, moves
 
 
-def tried(case: Case, z: np.ndarray) -> tuple[float, Any]:
-    """The least h over its size from the first promise on, and the loop; else how far h is from a promise."""
+def tried(case: Case, z: np.ndarray) -> tuple[float, Any, int]:
+    """The least h over its size from the first promise on, the loop, and that step; else how far h is from a promise."""
     X0, before, moves = candidate(case, z)
     parts = {"u0": lambda t: past(case, before, t), "setpoints": moves}
     loop, first = (loops(case, X0, npred.SafetyFilter(), t_end, **parts) for t_end in (None, case.dt))
     least, P = np.maximum(recorded(case, loop), -FAR), promised(loop, first)[0]
-    return (least[0, P.argmax()], loop) if P.any() else (OUTSIDE - min(least[0, 0], 0.0), None)
+    return (least[0, P.argmax()], loop, P.argmax()) if P.any() else (OUTSIDE - min(least[0, 0], 0.0), None, 0)
 
 
 def search(case: Case, seconds: float, seed: int) -> list[Any]:
@@ -390,8 +390,8 @@ def search(case: Case, seconds: float, seed: int) -> list[Any]:
         for k, stops in enumerate(harness.evolve(scores, begins[1], WIDTH, SIZE, begins[0]), start=1):
             if k == GENERATIONS or stops or time.monotonic() > ends:
                 break
-    (_, loop), (_, before, _) = tried(case, worst[1]), candidate(case, worst[1])
-    again = np.inf if loop is None else replayed(case, loop, case.D, before)[0, 0]
+    (_, loop, begin), (_, before, _) = tried(case, worst[1]), candidate(case, worst[1])
+    again = np.inf if loop is None else replayed(case, loop, case.D, before)[0, begin]
     found = np.array(values)
     promises, broken = found < OUTSIDE, (found < -ROUNDING).sum()
     return [len(found), promises.sum(), broken, f"{worst[0]:.1e}", f"{again:.1e}", worst[1].round(4).tolist()]
