@@ -365,7 +365,7 @@ def candidate(case: Case, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, Any]:
 
 
 def tried(case: Case, z: np.ndarray) -> tuple[float, Any, int]:
-    """The least h over its size from the first promise on, the loop, and that step; else how far h is from a promise."""
+    """The least h over its size from the first promise on, the loop, that step; else how far h is from a promise."""
     X0, before, moves = candidate(case, z)
     parts = {"u0": lambda t: past(case, before, t), "setpoints": moves}
     loop, first = (loops(case, X0, npred.SafetyFilter(), t_end, **parts) for t_end in (None, case.dt))
