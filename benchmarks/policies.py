@@ -116,7 +116,7 @@ class Policy:
     """The deterministic policy of a stored file, in numpy."""
 
     def __init__(self, path):
-        stored = np.load(path)
+        stored = np.load(path, allow_pickle=False)
         self.about = json.loads(str(stored["about"]))
         self.layers = [(stored[f"W{i}"].astype(float), stored[f"b{i}"].astype(float)) for i in range(3)]
         self.mean, self.std = (stored.get(k) for k in ("mean", "std"))

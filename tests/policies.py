@@ -135,7 +135,7 @@ def of_sb3(folder):
 
 def graph(nodes, weights, path, shape=(1, SEEN), out=(1, 2), opset=13, ir=8):
     """A graph of nodes (op, inputs, output, attributes) and weights by name, written to a file."""
-    made = [helper.make_node(op, read.split(), [y], name=f"{op}_{y}", **rest) for op, read, y, rest in nodes]
+    made = [helper.make_node(op, read.split(" "), y.split(), name=f"{op}_{y}", **rest) for op, read, y, rest in nodes]
     ends = [helper.make_tensor_value_info(n, TensorProto.FLOAT, s) for n, s in (("obs", shape), ("mu", out))]
     tensors = [
         numpy_helper.from_array(a if a.dtype == np.int64 else a.astype(np.float32), name) for name, a in weights.items()

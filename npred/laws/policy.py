@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from npred.base import json_files
+from npred.base import array_checks, json_files
 from npred.base.errors import ConfigError, first_line, required, unlisted
 from npred.formulas import Parameters, Value
 from npred.formulas.network import FORMULAS, Affine, CalledNetwork, Each, network
@@ -27,7 +27,7 @@ MOVES = (
     "Unsqueeze",
 )  # fmt: skip
 DEFAULTS = {"LeakyRelu": {"alpha": 0.01}, "Elu": {"alpha": 1.0}, "Clip": {"min": -np.inf, "max": np.inf}}
-RANDOM = ("RandomNormal", "RandomUniform", "Bernoulli", "Multinomial")
+RANDOM = ("RandomNormal", "RandomUniform", "Bernoulli", "Multinomial", "Dropout")
 
 
 class Slots(NamedTuple):
@@ -103,9 +103,11 @@ def policy(path: str | Path, *, output: str = "", row: int = 0, scale: float | S
     reader = _Reader(onnx, model, file)
     actions = reader.output(output)
     rows = actions.reshape(-1, actions.shape[-1] if actions.ndim else 1)
-    if not 0 <= row < len(rows):
-        raise ConfigError(f"policy {file}: row expected 0 to {len(rows) - 1}, got {row}; choose one of its actions")
-    scales = np.asarray(scale, dtype=float).tolist()
+    if not isinstance(row, int) or not 0 <= row < len(rows):
+        raise ConfigError(f"policy {file}: row expected 0 to {len(rows) - 1}, got {row!r}; choose one of its actions")
+    scales = array_checks.floats(f"policy {file}: scale", scale, what := "a number, or one per input").tolist()
+    if not np.isfinite(scales).all():
+        raise ConfigError(f"policy {file}: scale expected {what}, got {scale!r}; correct it")
     scales = tuple(scales) if isinstance(scales, list) else scales
     return Policy(network(reader.count, reader.parts, rows[row]), file, scales)
 
@@ -124,11 +126,12 @@ class _Reader:
             tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in model.graph.initializer
         }
         self.count, self.size, self.parts = 0, 0, list[Affine | Each]()
+        self.floats = onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE
 
     def output(self, name: str) -> np.ndarray:
         """The slots of an output, by default the first. Only what it depends on is read."""
         names = [value.name for value in self.graph.output]
-        if name and name not in names:
+        if not names or (name and name not in names):
             raise ConfigError(unlisted(f"policy {self.file}: output", name, names))
         needed, nodes = {name or names[0]}, []
         for node in reversed(self.graph.node):
@@ -139,25 +142,35 @@ class _Reader:
         if len(inputs) != 1:
             got = f"got {', '.join(value.name for value in inputs) or 'none'}; export the actor alone"
             raise ConfigError(f"policy {self.file}: expected one input, what it sees, {got}")
-        shape = [max(d.dim_value, 1) for d in inputs[0].type.tensor_type.shape.dim]  # a batch is one
+        kind = inputs[0].type.tensor_type
+        sizes = [d.dim_value for d in kind.shape.dim]
+        if kind.elem_type not in self.floats or not all(sizes[1:] or sizes):
+            got = f"{self.onnx.TensorProto.DataType.Name(kind.elem_type).lower()} of shape {sizes}, 0 for what is open"
+            what = "an input of float or double whose shape is known but for the batch"
+            raise ConfigError(f"policy {self.file}: expected {what}, got {got}; give an example of that shape")
+        shape = [max(size, 1) for size in sizes]  # a batch is one
         self.count = self.size = int(np.prod(shape))
         self.values[inputs[0].name] = Slots(np.arange(self.count).reshape(shape))
         for node in reversed(nodes):
-            self.values |= zip(node.output, self.read(node), strict=False)
+            results = self.read(node)
+            if needed & {*node.output[len(results) :]} - {""}:
+                raise self.refused(node)
+            self.values |= zip(node.output, results, strict=False)
         actions = self.values[name or names[0]]
         if not isinstance(actions, Slots):
             raise ConfigError(f"policy {self.file}: expected actions by what it sees, got constants; export it again")
-        if not all(np.isfinite(a).all() for part in self.parts if isinstance(part, Affine) for a in (part.W, part.b)):
+        finite = all(np.isfinite(a).all() for part in self.parts if isinstance(part, Affine) for a in (part.W, part.b))
+        if not finite or any(np.isnan(a).any() for part in self.parts if isinstance(part, Each) for a in part.operands):
             raise ConfigError(f"policy {self.file}: expected finite weights, got others; train it again")
         return actions.at
 
     def read(self, node: Any) -> Sequence[Slots | np.ndarray]:
         """The results of a node. Raises ConfigError, with its name, for one that is not known."""
-        inputs = [self.values[name] if name else None for name in node.input]
-        attributes = {a.name: self.onnx.helper.get_attribute_value(a) for a in node.attribute}
-        op, vary = node.op_type, [isinstance(a, Slots) for a in inputs]
+        attributes, op = {a.name: self.onnx.helper.get_attribute_value(a) for a in node.attribute}, node.op_type
         ours = node.domain in ("", "ai.onnx") and not op.startswith(RANDOM) and op[:1].isupper()
         try:
+            inputs = [self.values[name] if name else None for name in node.input]
+            vary = [isinstance(a, Slots) for a in inputs]
             if ours and (not any(vary) or op == "Shape" or (op in MOVES and (op == "Concat" or not any(vary[1:])))):
                 return self._moved(node, inputs, any(vary) and op != "Shape")
             if ours and op in FORMULAS:
@@ -166,8 +179,13 @@ class _Reader:
                 return [Slots(getattr(self, op)(*inputs, **attributes))]
         except Exception:  # of operands that are not taken
             pass
+        raise self.refused(node)
+
+    def refused(self, node: Any) -> ConfigError:
+        """The error that names a node."""
+        op = node.op_type
         what = f"expected operations of a network as MatMul and Tanh, got {op} (node {node.name or node.output[0]})"
-        raise ConfigError(f"policy {self.file}: {what}; export the mean of the actor alone")
+        return ConfigError(f"policy {self.file}: {what}; export the mean of the actor alone")
 
     def _moved(self, node: Any, inputs: Sequence[Any], vary: bool) -> list[Slots | np.ndarray]:
         """The results of ONNX's reference on constants, or on slots as it would move the numbers there."""
@@ -195,11 +213,15 @@ class _Reader:
         """A formula of numbers, broadcast."""
         arrays = [a.at if isinstance(a, Slots) else np.asarray(a, dtype=float) for a in operands]
         arrays = np.broadcast_arrays(*arrays)
+        if not arrays[0].size:
+            return Slots(np.zeros(arrays[0].shape, dtype=int))
         self.parts.append(Each(op, tuple(a.ravel() for a in arrays)))
         return Slots(self._next(arrays[0].size).reshape(arrays[0].shape))
 
     def affine(self, x: np.ndarray, W: np.ndarray, b: np.ndarray | float = 0.0) -> np.ndarray:
-        """x W + b for slots x (..., in)."""
+        """x W + b for slots x (..., in) and W (in, out)."""
+        if W.ndim != 2 or x.shape[-1] != len(W):
+            raise ValueError
         rows = x.reshape(-1, x.shape[-1])
         b = np.broadcast_to(np.asarray(b, dtype=float), (len(rows), W.shape[1]))
         slots = []
@@ -215,28 +237,31 @@ class _Reader:
         return np.arange(self.size - size, self.size)
 
     def Cast(self, x: Slots, to: int) -> np.ndarray:
-        if self.onnx.helper.tensor_dtype_to_np_dtype(to).kind != "f":
+        if to not in self.floats:  # shorter ones round
             raise ValueError
         return x.at
 
     def MatMul(self, a: Any, b: Any) -> np.ndarray:
         if isinstance(a, np.ndarray):
-            return self.affine(b.at.T, a.T).T
+            vector = b.at.ndim == 1
+            return self.affine(b.at, a.T) if vector else self.affine(b.at.swapaxes(-1, -2), a.T).swapaxes(-1, -2)
         return self.affine(a.at, b) if b.ndim == 2 else self.affine(a.at, b[:, None])[..., 0]
 
     def Gemm(
         self, a: Slots, b: Any, c: Any = 0.0, alpha: float = 1.0, beta: float = 1.0, transA: int = 0, transB: int = 0
     ) -> np.ndarray:
-        return self.affine(a.at.T if transA else a.at, alpha * (b.T if transB else b), beta * c)
+        x, W = a.at.T if transA else a.at, alpha * (b.T if transB else b)
+        return self.affine(x, W, 0.0 if c is None else beta * c)
 
-    def ReduceSum(self, x: Slots, axes: Any = None, keepdims: int = 1, **_: int) -> np.ndarray:
-        over = tuple(range(x.at.ndim)) if axes is None else tuple(np.ravel(axes).tolist())
+    def ReduceSum(self, x: Slots, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> np.ndarray:
+        none = axes is None or not len(axes)
+        over = tuple(range(x.at.ndim * (not noop_with_empty_axes))) if none else tuple(np.ravel(axes).tolist())
         shape = x.at.sum(over, keepdims=bool(keepdims)).shape
         rows = np.moveaxis(x.at, over, range(-len(over), 0)).reshape(math.prod(shape), -1)
         return self.affine(rows, np.ones((rows.shape[1], 1))).reshape(shape)
 
-    def ReduceMean(self, x: Slots, axes: Any = None, keepdims: int = 1, **_: int) -> np.ndarray:
-        total = self.ReduceSum(x, axes, keepdims)
+    def ReduceMean(self, x: Slots, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> np.ndarray:
+        total = self.ReduceSum(x, axes, keepdims, noop_with_empty_axes)
         return self.each("Div", Slots(total), x.at.size / total.size).at
 
     def LayerNormalization(
@@ -246,4 +271,4 @@ class _Reader:
         away = self.each("Sub", x, Slots(self.ReduceMean(x, axes)))
         spread = Slots(self.ReduceMean(self.each("Mul", away, away), axes))
         size = self.each("Sqrt", self.each("Add", spread, epsilon))
-        return self.each("Add", self.each("Mul", self.each("Div", away, size), scale), b).at
+        return self.each("Add", self.each("Mul", self.each("Div", away, size), scale), 0.0 if b is None else b).at

@@ -92,6 +92,8 @@ def _recorded(name: str, file: str | Path) -> np.ndarray:
     try:
         lines = Path(file).read_text(encoding="utf-8-sig").rstrip().splitlines()
         names, *cells = csv.reader(lines, skipinitialspace=True)
+        if "latency" not in names and not {"sent", "received"} <= {*names}:
+            raise ValueError(f"columns {', '.join(names)}")
         rows = [dict(zip(names, row, strict=False)) for row in cells]
         latency, sent, received = (
             np.array([float(row.get(column) or "nan") for row in rows]) for column in ("latency", "sent", "received")
@@ -155,13 +157,14 @@ def schedule(timing: Timing, measurement: Measurement, dt: float, count: int, lo
         numbers = np.arange(math.ceil(at[-1] / (period * (1 - measurement.jitter))) + 2)
         gaps = period * (1 + measurement.jitter * (2 * uniform(measurement.seed, loop, numbers, GAP) - 1))
         taken = np.concatenate([[0.0], np.cumsum(gaps)[:-1]]) if measurement.jitter else numbers * period
+        taken = snapped(taken)
         taken = taken[taken <= at[-1] + ROUNDING]
     number = np.arange(len(taken))
     travelling = travels(timing.sample_latency, number, uniform(timing.seed, loop, number, SAMPLE))
     late = (measurement.delay + travelling) / dt
     kept = ~happens(measurement.drop, measurement.seed, loop, number, DROP) & np.isfinite(late)
     if timing.stop_every is not None:
-        kept &= taken * dt % timing.stop_every < timing.stop_every - timing.stop
+        kept &= (taken + SNAP) % (timing.stop_every / dt) < (timing.stop_every - timing.stop) / dt
     kept[0] = True
     taken, number = taken[kept], number[kept]
     arrives = taken + late[kept]

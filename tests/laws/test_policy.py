@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import re
 import shutil
 import sys
 import tomllib
@@ -19,6 +20,7 @@ from npred.lab.scheduler.configuration import identity
 from npred.plants import Plant
 
 onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnx.reference")
 pytest.importorskip("onnxruntime")
 pytest.importorskip("torch")
 
@@ -219,6 +221,55 @@ def test_other_operations_are_refused_by_their_names(tmp_path, op, read, rest):
         patch.setattr(onnx.checker, "check_model", lambda model: None)
         said = refused([(op, read, "mu", rest)], tmp_path, shape=shape)
     assert f"got {op} (node {op}_mu)" in said
+
+
+@pytest.mark.parametrize(
+    ("opset", "nodes"),
+    [
+        (13, [("Unsqueeze", "obs last", "o", {}), ("MatMul", "W o", "h", {}), ("Squeeze", "h last", "mu", {})]),
+        (18, [("ReduceSum", "obs", "mu", {"noop_with_empty_axes": 1})]),
+        (18, [("ReduceSum", "obs none", "mu", {})]),
+        (18, [("ReduceMean", "obs one", "mu", {"keepdims": 0})]),
+        (18, [("Gemm", "obs W ", "mu", {})]),
+        (18, [("Concat", "obs empty", "mu", {"axis": 1})]),
+    ],
+)
+def test_odd_graphs_give_what_the_reference_gives(tmp_path, opset, nodes):
+    numbers = {"last": [2], "one": [1], "none": []}
+    weights = {"W": np.arange(36.0).reshape(6, 6)} | {k: np.array(v, dtype=np.int64) for k, v in numbers.items()}
+    weights |= {"empty": np.zeros((1, 0))}
+    used = {name: a for name, a in weights.items() if any(name in read.split() for _, read, _, _ in nodes)}
+    file = policies.graph(nodes, used, tmp_path / "odd.onnx", opset=opset)
+    x = np.linspace(-1.0, 1.0, 6, dtype=np.float32)
+    (wanted,) = onnx.reference.ReferenceEvaluator(onnx.load(file)).run(None, {"obs": x[None]})
+    np.testing.assert_allclose(np.ravel(npred.policy(file).network(*x.astype(float))), np.ravel(wanted), rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "said"),
+    [
+        ([("Cast", "obs", "h", {"to": 10}), ("Cast", "h", "mu", {"to": 1})], "got Cast"),
+        ([("MatMul", "obs three", "mu", {})], "got MatMul"),
+        ([("Add", "obs nan", "mu", {})], "expected finite weights"),
+        ([("LayerNormalization", "obs ones", "h m", {}), ("Add", "h m", "mu", {})], "got LayerNormalization"),
+    ],
+)
+def test_graphs_that_would_give_other_numbers_are_refused(tmp_path, nodes, said):
+    weights = {"three": np.ones((1, 6, 6)), "nan": np.full(6, np.nan), "ones": np.ones(6)}
+    used = {name: a for name, a in weights.items() if any(name in read.split() for _, read, _, _ in nodes)}
+    with pytest.raises(ConfigError, match=said):
+        npred.policy(policies.graph(nodes, used, tmp_path / "odd.onnx", opset=17))
+
+
+def test_an_input_of_unknown_size_and_settings_that_are_none_are_refused(jax, tmp_path):
+    open_ends = policies.graph([("Tanh", "obs", "mu", {})], {}, tmp_path / "open.onnx", shape=("b", "f"))
+    for options, said in (
+        ({"path": open_ends}, "got float of shape [0, 0], 0 for what is open"),
+        ({"path": jax, "row": 0.5}, "row expected 0 to"), ({"path": jax, "scale": "x"}, "scale: expected a number"),
+        ({"path": jax, "scale": math.nan}, "scale expected a number"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            npred.policy(**options)
 
 
 def test_what_does_not_depend_on_the_state_is_refused(tmp_path):

@@ -237,6 +237,23 @@ def test_samples_stop_for_the_end_of_each_period_and_the_first_one_is_there_at_o
         assert not plan.skipped[0] and plan.sample[0] == 0 and plan.age[0] == 0.0 and plan.taken[0] == 0.0
 
 
+@pytest.mark.parametrize(("dt", "every"), [(0.01, 0.1), (0.02, 0.6), (0.005, 0.035)])
+def test_samples_stop_at_the_same_control_step_of_each_period(dt, every):
+    stops = schedule(npred.Timing(stop=dt, stop_every=every), npred.Measurement(), dt, 2001, 0)
+    steps = np.arange(2001)
+    np.testing.assert_array_equal(np.setdiff1d(steps, stops.number), steps[(steps + 1) % round(every / dt) == 0])
+
+
+@pytest.mark.parametrize(("period", "dt"), [(0.07, 0.01), (0.14, 0.02), (0.07, 0.005)])
+def test_a_period_of_whole_control_steps_that_rounds_up_is_sampled(period, dt):
+    plant = npred.plant("scalar")
+    loop = npred.simulate(
+        plant, npred.predictor(plant, "rk4", 11), D=0.1, D_hat=0.1, X0=[1.0], t_end=2.0, dt=dt, actuator="history",
+        max_sample_age=5.0, progress=False, timing=npred.Timing(), measurement=npred.Measurement(period=period),
+    )  # fmt: skip
+    assert loop.clock.refusals.sum() == 0 and loop.clock.age.max() < period
+
+
 def test_random_numbers_are_those_of_the_loop_in_c():
     """Samples of a plain loop are dropped where this function says so."""
     dropped = uniform(5, 2, np.arange(50), 3) < 0.4

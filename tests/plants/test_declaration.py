@@ -206,7 +206,7 @@ OTHERS = {
     "reference": staticmethod(lambda t, p, M: [M.cos(2 * M.pi * t / 4.0)]),
 }  # fmt: skip
 SHOWN = {"labels", "units", "time_unit", "figure"}  # by figures only
-SLICED = {"mechanics", "output", "outputs", "safe"}  # of results that read them, below
+SLICED = {"mechanics", "observation", "output", "outputs", "safe"}  # of results that read them, below
 OF_KINDS = {"rollout", "delays", "setpoint"}  # of a black box, of several inputs, in place of the reference
 
 

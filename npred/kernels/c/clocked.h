@@ -77,7 +77,7 @@ static inline void take(Shape d, double to, const Parts *q, const Settings *s, S
                         double *work)
 {
     const int width = s->output_count;
-    for (int64_t j; (j = e->taken_count[0]) < e->sample_count && e->taken[j] <= to; e->taken_count[0]++) {
+    for (int64_t j; (j = e->taken_count[0]) < e->sample_count && e->taken[j] <= to + ROUNDING; e->taken_count[0]++) {
         double *Y = work, *rest = work + width;
         go(d, e->taken[j], q, s, z, e, out, work);
         copy(q->output ? 0 : width, z->X, Y);
