@@ -224,7 +224,7 @@ def settled(evidence: E) -> E:
         intervals = [
             (min(ends[0], 0.0) if other.as_good or evidence.incomplete else ends[0], ends[1]),
             *((low, top + evidence.late[j]) for low, top in rivals),
-            (D[j] - (apart := DEVIATIONS * evidence.scatter[j]), min(D[j] + apart, high)),
+            (D[j] - (apart := DEVIATIONS * evidence.scatter[j]), min(D[j] + apart + evidence.late[j], high)),
         ]
         if varies[j]:  # what comes next is most like the last window
             over_time, D[j] = windows.seen(j)

@@ -107,7 +107,7 @@ def policy(path: str | Path, *, output: str = "", row: int = 0, scale: float | S
         raise ConfigError(f"policy {file}: row expected 0 to {len(rows) - 1}, got {row!r}; choose one of its actions")
     scales = array_checks.floats(f"policy {file}: scale", scale, what := "a number, or one per input").tolist()
     if not np.isfinite(scales).all():
-        raise ConfigError(f"policy {file}: scale expected {what}, got {scale!r}; correct it")
+        raise ConfigError(f"policy {file}: scale expected {what}, got {scale!r}; give numbers")
     scales = tuple(scales) if isinstance(scales, list) else scales
     return Policy(network(reader.count, reader.parts, rows[row]), file, scales)
 

@@ -210,7 +210,7 @@ def test_an_interval_holds_all_that_was_seen_and_an_answer_that_is_contradicted_
     begin, end = findings.interval[0]
     assert begin <= min(low, rival, line) and end >= max(low, rival, line) + 0.05 + late - 1e-12
     assert begin <= 0.3 - 2 * scatter + 1e-12 and end >= 0.3 + 2 * scatter + late - 1e-12
-    if rival + 0.05 < low or scatter:
+    if rival + 0.05 + late < low - 1e-12 or scatter:
         assert not findings.identifiable[0]
     if findings.varies[0]:
         assert begin <= min(D) - 0.01 + 1e-12 and max(D) + 0.01 - 1e-12 <= end and findings.D[0] >= D[-1]
