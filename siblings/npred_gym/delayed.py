@@ -50,7 +50,6 @@ class DelayedActions(gym.Wrapper, gym.utils.RecordConstructorArgs):
         expect(low, f"jitter: expected at most the delay, got {jitter} of {delay}; lower it")
         self.substeps, self.held = environment.substeps(env), held
         space: Any = env.action_space
-        expect(isinstance(space, gym.spaces.Box), f"DelayedActions: expected actions of a Box, got {space}; change it")
         self.first = checked(0 * space.low if first is None else first, np.zeros_like(space.low))
         late = _times("observation_delay", observation_delay).sum() / self._unit
         self.observation_delay = math.ceil(late - NEARLY)

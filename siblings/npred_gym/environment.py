@@ -36,6 +36,8 @@ def substeps(env: gym.Env) -> int:
         changes = changes or env.observation_space.shape != env.env.observation_space.shape
         expect(not changes, f"{type(env).__name__}: expected around the delay or in the policy, got it {what}")
         env = env.env
+    space, what = env.action_space, "expected actions of a Box"
+    expect(isinstance(space, gym.spaces.Box), f"{env}: {what}, got {space}; choose such an environment")
     return getattr(env, "frame_skip", 1) if of_mujoco(env) else 1
 
 

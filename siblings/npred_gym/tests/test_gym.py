@@ -295,6 +295,7 @@ CART = "InvertedPendulum-v5"
             lambda env: Ahead(law(env), gym.wrappers.FrameStackObservation(env, 2), delay=1),
             "FrameStackObservation: exp",
         ),
+        (lambda env: Ahead(len, gym.make("CartPole-v1"), delay=1), "expected actions of a Box"),
         (lambda env: Ahead(law(env), env, 6), "did you mean delay=6?"),
         (lambda env: Ahead(law(env), env, 0), "did you mean delay=0?"),
         (lambda env: Ahead(law(env), env, "rk4", 1), "predictor: expected a plant or predictor of npred"),
