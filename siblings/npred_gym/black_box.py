@@ -9,13 +9,10 @@ import gymnasium as gym
 import numpy as np
 
 from npred.base import grid, randomness
-from npred.base.errors import ConfigError
 from npred_gym import environment
 from npred_gym.model import nodes
 from npred_gym.path import HeldAction
 from npred_gym.states import State, state_of
-
-RESETS = 32  # from which the box of initial states is taken
 
 
 def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None = None) -> type:
@@ -29,12 +26,12 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
     """
     env = gym.make(env) if isinstance(env, str) else env
     inner: Any = env.unwrapped
-    if not environment.of_mujoco(inner) or inner.model.na or inner.model.nq != inner.model.njnt:
-        what = "expected an environment of MuJoCo, hinges and slides, and actuators without a state"
-        raise ConfigError(f"plant: {what}, got {inner}; declare a plant with f")
+    simple = environment.of_mujoco(inner) and not inner.model.na and inner.model.nq == inner.model.njnt
+    what = "expected an environment of MuJoCo, hinges and slides, and actuators without a state"
+    environment.expect(simple, f"plant: {what}, got {inner}; declare a plant with f")
     mujoco = environment.engine()
     space, alone, tell = env.action_space, Lock(), state or state_of(env)
-    starts = np.array([_vector(env.unwrapped) for seed in range(RESETS) if env.reset(seed=seed)])
+    starts = np.array([_vector(env.unwrapped) for seed in range(32) if env.reset(seed=seed)])
     other = environment.twin(env)
     model, data, n = other.model, other.data, other.model.nq
 
@@ -49,7 +46,7 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
 
     def observe(X: np.ndarray) -> Any:
         with alone:
-            environment.place(other, (X[:n], X[n:]))
+            environment.put(other, (X[:n], X[n:]))
             return other._get_obs()
 
     def rollout(X: np.ndarray, u: np.ndarray, D_hat: np.ndarray, t: Any, p: Any) -> np.ndarray:
@@ -59,7 +56,7 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
             for row, held, D in zip(P, (begin + end) / 2, D_hat, strict=True):
                 count = max(1, round(D / (len(row) - 1) / file_step))
                 model.opt.timestep = D / (len(row) - 1) / count
-                environment.place(other, (row[0, :n], row[0, n:]))
+                environment.put(other, (row[0, :n], row[0, n:]))
                 for k, action in enumerate(held if D else ()):
                     data.ctrl = action
                     mujoco.mj_step(model, data, count)
@@ -70,10 +67,9 @@ def plant(env: gym.Env | str, policy: Callable[[Any], Any], state: State | None 
     names = [model.joint(k).name or f"q{k}" for k in range(n)]
     names += [f"{name}_rate" for name in names]
     return type(type(inner).__name__.removesuffix("Env"), (), {
-        "__doc__": f"{inner.spec.id if inner.spec else inner} under a policy, a black box.", "traced": False,
-        "rests": False,
-        "states": tuple(names),
-        "inputs": tuple(f"u_{model.actuator(k).name or k}" for k in range(model.nu)),
+        "__doc__": f"{inner.spec.id if inner.spec else inner} under a policy, a black box.",
+        "traced": False, "rests": False,
+        "states": tuple(names), "inputs": tuple(f"u_{model.actuator(k).name or k}" for k in range(model.nu)),
         "input_bounds": tuple(zip(space.low.tolist(), space.high.tolist(), strict=True)),  # type: ignore[attr-defined]
         "box": {name: (low, high) for name, low, high in zip(names, starts.min(0), starts.max(0), strict=True)},
         "f": staticmethod(f), "rollout": staticmethod(rollout), "_observe": staticmethod(observe),
@@ -112,24 +108,21 @@ def record(
             row = shifted[0], nodes(pieces, nx), d * dt, grid.refine(shifted, nx), d * dt, first * dt
             for name, value in zip(columns, (*row, episode, episode % 10 == 9), strict=True):
                 columns[name].append(value)
-    arrays = {name: np.array(values) for name, values in columns.items()}
-    kinds = {"rollout": np.int32, "test": np.uint8}
-    data = Dataset(**{name: array.astype(kinds.get(name, float)) for name, array in arrays.items()})
+    kinds: dict[str, Any] = {"rollout": np.int32, "test": np.uint8}
+    data = Dataset(**{name: np.array(values, kinds.get(name, float)) for name, values in columns.items()})
     data.write(Path(path), {"source": "recorded"})
 
 
 def _episode(
     env: gym.Env, policy: Callable[[Any], Any], noise: float, steps: int, seed: int, rng: np.random.Generator
 ) -> tuple[list[Any], np.ndarray, np.ndarray]:
-    """Observations, states (k + 1, n) and actions (k, m) of an episode."""
     space: Any = env.action_space
     observation, _ = env.reset(seed=seed)
-    observations, X, u, over = [observation], [_vector(env.unwrapped)], [], False
-    while not over and len(u) < steps:
+    observations, X, u, over = [observation], [_vector(env.unwrapped)], [], [False]
+    while not any(over) and len(u) < steps:
         spread = noise * rng.standard_normal(space.shape) * (space.high - space.low) / 2
         action = np.clip(policy(observation) + spread, space.low, space.high).astype(space.dtype)
-        observation, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
+        observation, _, *over, _ = env.step(action)
         for column, value in ((observations, observation), (X, _vector(env.unwrapped)), (u, action)):
             column.append(value)
     return observations, np.array(X), np.array(u)

@@ -11,6 +11,12 @@ from npred.base.errors import ConfigError, required
 from npred_gym.path import HeldAction
 
 
+def expect(holds: Any, message: str) -> None:
+    """Raise ConfigError with the message, one line, where it does not hold."""
+    if not holds:
+        raise ConfigError(" ".join(message.split()))
+
+
 def engine() -> Any:
     """The package mujoco, which is imported where it is needed: an environment without it is none of MuJoCo's."""
     return required("npred_gym", "mujoco", "mujoco", "gym")
@@ -24,18 +30,28 @@ def of_mujoco(inner: Any) -> bool:
 def substeps(env: gym.Env) -> int:
     """The simulator's steps in a control step. Raises ConfigError for wrappers that change actions or observations."""
     while isinstance(env, gym.Wrapper):
-        if isinstance(env, gym.ActionWrapper | gym.ObservationWrapper):
-            what = "expected around the delay or in the policy, got it around the plant"
-            raise ConfigError(f"{type(env).__name__}: {what}; move it")
+        inside = env.has_wrapper_attr("observation_delay")
+        what = "around DelayedActions; give the DelayedActions inside" if inside else "around the plant; move it"
+        changes = isinstance(env, gym.ActionWrapper | gym.ObservationWrapper)
+        changes = changes or env.observation_space.shape != env.env.observation_space.shape
+        expect(not changes, f"{type(env).__name__}: expected around the delay or in the policy, got it {what}")
         env = env.env
+    space, what = env.action_space, "expected actions of a Box"
+    expect(isinstance(space, gym.spaces.Box), f"{env}: {what}, got {space}; choose such an environment")
     return getattr(env, "frame_skip", 1) if of_mujoco(env) else 1
+
+
+def within_episode(name: str, steps: float, env: gym.Env) -> float:
+    longest = getattr(env.spec, "max_episode_steps", None) or steps
+    expect(steps <= longest, f"{name}: these are {steps:g} control steps, of episodes of {longest}; is it in ms?")
+    return steps
 
 
 def control_step(env: gym.Env) -> float:
     """The control step in seconds. Raises ConfigError for an environment that does not say it."""
-    if (dt := getattr(env.unwrapped, "dt", None)) is None:
-        raise ConfigError(f"{env.unwrapped}: expected an attribute dt in seconds, got none; give times in steps")
-    return float(dt)
+    inner: Any = env.unwrapped
+    expect(hasattr(inner, "dt"), f"{inner}: expected an attribute dt in seconds, got none; give times in steps")
+    return float(inner.dt)
 
 
 def snapshot(inner: Any) -> Any:
@@ -55,32 +71,23 @@ def twin(env: gym.Env) -> Any:
     other = copy.copy(inner)
     other.render_mode = None
     if of_mujoco(inner):
-        mujoco = engine()
         other.model = copy.copy(inner.model)
-        other.data = mujoco.MjData(other.model)
-    elif getattr(inner, "state", None) is None:
-        what = "expected an environment of MuJoCo, or one with an attribute state"
-        raise ConfigError(f"simulator: {what}, got {inner}; give a function of (observation, pieces) as predictor")
+        other.data = engine().MjData(other.model)
+    else:
+        what = f"got {inner} without a state; reset it first, or give a function of (observation, pieces) as predictor"
+        expect(getattr(inner, "state", None) is not None, f"simulator: {what}")
     return other
 
 
-def put(other: Any, values: Any) -> None:
-    """Set a twin to a snapshot."""
-    if of_mujoco(other):
-        mujoco = engine()
-        mujoco.mj_setState(other.model, other.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)
-    else:
-        other.state = copy.copy(values)
-
-
-def place(other: Any, state: Any) -> None:
-    """Set a twin to a state: (qpos, qvel) of MuJoCo, or the attribute."""
-    if of_mujoco(other):
-        mujoco = engine()
-        mujoco.mj_resetData(other.model, other.data)
+def put(other: Any, state: Any) -> None:
+    """Set a twin to a snapshot, or to a state: (qpos, qvel) of MuJoCo, or the attribute."""
+    if not of_mujoco(other):
+        other.state = copy.copy(state)
+    elif len(state) == 2:
+        engine().mj_resetData(other.model, other.data)
         other.set_state(*(np.asarray(part, dtype=float) for part in state))
     else:
-        other.state = np.asarray(state, dtype=float)
+        engine().mj_setState(other.model, other.data, state, engine().mjtState.mjSTATE_INTEGRATION)
 
 
 def roll(other: Any, pieces: Sequence[HeldAction]) -> Any:

@@ -18,8 +18,7 @@ class Model:
 
     `state(observation)` is the plant's state, `observe(X)` the observation; those of `npred_gym.plant` have both, and
     by default a plant's state is the observation. A network predicts over all pieces in one call, from their means over
-    the cells of its nodes; numerical methods predict over one piece after another, in which the action is constant.
-    Raises ConfigError where it is no predictor.
+    the cells of its nodes; numerical methods over one piece after another. Raises ConfigError for what is no predictor.
     """
 
     def __init__(
@@ -36,7 +35,6 @@ class Model:
         self.whole = hasattr(getattr(self.predictor, "model", self.predictor), "operator")
 
     def __call__(self, observation: Any, pieces: Sequence[HeldAction]) -> Any:
-        """The observation at the end of the pieces."""
         X, nx = np.asarray(self.state(observation), dtype=float), self.predictor.nx
         for part in [pieces] if self.whole else ([piece] for piece in pieces):
             X = self.predictor(X, nodes(part, nx), self.dt * sum(piece.steps for piece in part))[-1]

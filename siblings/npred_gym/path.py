@@ -27,7 +27,6 @@ class Path:
         self.actions, self.arrivals, self.dropped = list[np.ndarray](), list[int](), 0
 
     def __len__(self) -> int:
-        """How many were sent."""
         return self.dropped + len(self.actions)
 
     def ticks(self, steps: float) -> int:
@@ -35,7 +34,6 @@ class Path:
         return math.ceil(steps * self.substeps - NEARLY)
 
     def send(self, action: Any, arrival: int) -> None:
-        """Send the next action, which arrives at that substep."""
         self.actions.append(np.array(action))
         self.arrivals.append(arrival)
 
@@ -44,7 +42,6 @@ class Path:
         return max((k for k, arrival in enumerate(self.arrivals) if arrival <= tick), default=-1)
 
     def action(self, tick: int) -> Any:
-        """The action that acts at a substep."""
         return self.actions[k] if (k := self.acting(tick)) >= 0 else self.first
 
     def pieces(self, begin: int, end: int) -> list[HeldAction]:
@@ -55,7 +52,6 @@ class Path:
         return [HeldAction(*each) for each in acting if each[0] is not None]
 
     def forget(self, tick: int) -> None:
-        """Drop what does not act from a substep on."""
         if (k := self.acting(tick)) > 0:
             del self.actions[:k], self.arrivals[:k]
             self.dropped += k

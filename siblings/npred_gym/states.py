@@ -12,21 +12,15 @@ from npred_gym.environment import of_mujoco
 State = Callable[[np.ndarray], Any]  # (qpos, qvel), or the attribute state
 
 
-def reacher(o: np.ndarray) -> tuple[np.ndarray, ...]:
-    return np.concatenate([np.arctan2(o[2:4], o[:2]), o[4:6]]), np.concatenate([o[6:8], np.zeros(2)])
-
-
-def inverted_double_pendulum(o: np.ndarray) -> tuple[np.ndarray, ...]:
-    return np.concatenate([o[:1], np.arctan2(o[1:3], o[3:5])]), o[5:8]
-
-
 def pendulum(o: np.ndarray) -> np.ndarray:
-    return np.array([np.arctan2(o[1], o[0]), o[2]])
+    return np.array([np.arctan2(o[1], o[0]), o[2]], dtype=float)
 
 
 NAMED: dict[str, State] = {
-    "ReacherEnv": reacher, "InvertedDoublePendulumEnv": inverted_double_pendulum, "PendulumEnv": pendulum
-}  # fmt: skip
+    "InvertedDoublePendulumEnv": lambda o: (np.concatenate([o[:1], np.arctan2(o[1:3], o[3:5])]), o[5:8]),
+    "PendulumEnv": pendulum,
+    "ReacherEnv": lambda o: (np.r_[np.arctan2(o[2:4], o[:2]), o[4:6]], np.r_[o[6:8], 0.0, 0.0]),
+}
 
 
 def state_of(env: gym.Env) -> State:

@@ -230,6 +230,29 @@ def test_a_quiet_law_stands_on_a_model_that_is_wrong():
     assert len(loop(late, Ahead(policy, late, Simulator(late, change=heavier)), 1000)[1]) == 1000
 
 
+@pytest.mark.parametrize("name", ["Pendulum-v1", "InvertedPendulum-v5"])
+@pytest.mark.parametrize("what", ["another", "another late", "its simulator", "held", "old"])
+def test_an_environment_that_stands_still_is_refused(name, what):
+    late, another = DelayedActions(gym.make(name), 3), gym.make(name)
+    another.reset(seed=0)
+    policy, still = law(another), "stands still; give state_of(env)"
+    if what in ("held", "old"):  # what may stand still is not refused, even where a sensor has noise
+        late = DelayedActions(gym.make(name), 3, 2 * (what == "old"), held=what == "held")
+        ahead, noise = Ahead(policy, late), np.random.default_rng(0)
+        noisy = lambda o, info: ahead((o + 1e-3 * noise.normal(size=o.shape)).astype(o.dtype), info)
+        assert len(loop(late, noisy, 5)[1]) == 5
+        return
+    if what == "another late":
+        another = DelayedActions(another, 3)
+        another.reset(seed=0)
+    ahead = Ahead(policy, late, Simulator(another)) if what == "its simulator" else Ahead(policy, another, None, 3)
+    with pytest.raises(ConfigError, match=re.escape(still)):
+        loop(late, ahead, 5)
+    told = Ahead(policy, late, Simulator(gym.make(name), state_of(late)))
+    told.predictor.env.reset(seed=0)
+    assert len(loop(late, told, 5)[1]) == 5
+
+
 CART = "InvertedPendulum-v5"
 
 
@@ -250,6 +273,36 @@ CART = "InvertedPendulum-v5"
         (lambda env: Ahead(3, env, delay=1), "policy: expected a function"),
         (lambda env: npred_gym.Model(3, env), "predictor: expected a plant or a predictor"),
         (lambda env: npred_gym.plant("Pendulum-v1", law(env)), "plant: expected an environment of MuJoCo"),
+        (lambda env: DelayedActions(DelayedActions(env, 4), 4), "DelayedActions: expected one, got one around another"),
+        (lambda env: DelayedActions(env, 8000), "these are 8000 control steps, of episodes of 1000; is it in ms?"),
+        (lambda env: DelayedActions(env, 1, 8000), "observation_delay: these are 8000 control steps"),
+        (lambda env: Ahead(law(env), env, delay=8000), "these are 8000 control steps"),
+        (lambda env: DelayedActions(env, []), "delay: expected a time, 0 or more, or several"),
+        (lambda env: DelayedActions(env, [1, 1], jitter=[1, 1, 1]), "jitter: expected 1 or 2 numbers"),
+        (lambda env: DelayedActions(env, lambda random: 1, jitter=1), "draw it in the function"),
+        (lambda env: Ahead(law(env), env, delay="observer"), "need a traced plant under a law in continuous time"),
+        (lambda env: Ahead(law(env), DelayedActions(env, lambda random: 1)), "Ahead(policy, env, delay=4)"),
+        (lambda env: DelayedActions(env, 1).step(np.zeros(1)), "expected a reset before the first step"),
+        (lambda env: Ahead(law(env), DelayedActions(env, 1))(np.zeros(4)), "without a state; reset it first"),
+        (lambda env: Ahead(lambda o: [0.0], gym.make("Pendulum-v1"), delay=1)(np.zeros(3)), "reset it first"),
+        (lambda env: Ahead(lambda o: np.array([np.nan]), env, delay=1)(np.zeros(4)), "policy: expected finite numbers"),
+        (lambda env: Ahead(lambda o: (np.zeros(1), None), env, delay=1)(np.zeros(4)), "not model.predict"),
+        (
+            lambda env: Ahead(law(env), gym.wrappers.ClipAction(DelayedActions(env, 8))),
+            "give the DelayedActions inside",
+        ),
+        (
+            lambda env: Ahead(law(env), gym.wrappers.FrameStackObservation(env, 2), delay=1),
+            "FrameStackObservation: exp",
+        ),
+        (lambda env: Ahead(len, gym.make("CartPole-v1"), delay=1), "expected actions of a Box"),
+        (lambda env: Ahead(law(env), env, 6), "did you mean delay=6?"),
+        (lambda env: Ahead(law(env), env, 0), "did you mean delay=0?"),
+        (lambda env: Ahead(law(env), env, "rk4", 1), "predictor: expected a plant or predictor of npred"),
+        (lambda env: Ahead(law(env), env, Simulator, 1), "predictor: expected a plant or predictor of npred"),
+        (lambda env: Ahead(law(env), env, env, 1), "predictor: expected a plant or predictor of npred"),
+        (lambda env: Ahead(law(env), env, Simulator(gym.make("Hopper-v5")), 1), "with the spaces of"),
+        (lambda env: Ahead(law(env), env, lambda o, pieces: o[:2], 1)(np.zeros(4)), "of shape (4,), got (2,)"),
     ],
 )
 def test_what_is_wrong_is_one_line(make, words):
