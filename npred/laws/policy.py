@@ -254,8 +254,8 @@ class _Reader:
         return self.affine(x, W, 0.0 if c is None else beta * c)
 
     def ReduceSum(self, x: Slots, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> np.ndarray:
-        none = axes is None or not len(axes)
-        over = tuple(range(x.at.ndim * (not noop_with_empty_axes))) if none else tuple(np.ravel(axes).tolist())
+        named = [] if axes is None else np.ravel(axes).tolist()
+        over = tuple(named or range(x.at.ndim * (not noop_with_empty_axes)))
         shape = x.at.sum(over, keepdims=bool(keepdims)).shape
         rows = np.moveaxis(x.at, over, range(-len(over), 0)).reshape(math.prod(shape), -1)
         return self.affine(rows, np.ones((rows.shape[1], 1))).reshape(shape)
