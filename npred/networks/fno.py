@@ -6,7 +6,7 @@ import numpy as np
 
 from npred.base import grid
 from npred.networks import matrices, program
-from npred.networks.program import Matrix, Product, Program, Series, Shapes, Silu, linear_shapes, mlp, product, silu
+from npred.networks.program import Matrix, Product, Program, Series, Shapes, linear_shapes, mlp, product, silu
 from npred.networks.weights import Weights
 
 PAIRED, STRIDED = False, True  # the point of rest is a series; on a fine grid every stride-th node is evaluated
@@ -26,9 +26,33 @@ def shapes(n: int, m: int, clock: int = 0, *, width: int = 32, modes: int = 8, l
 
 def append(p: Program, weights: Weights) -> None:
     """Append the network's operations, nodes by channels."""
-    n, m, nx, lift = p.n, p.m, p.nodes, weights["network.lift.weight"].T
-    width, linear, spectral = lift.shape[1], weights.layers("network.local"), _spectral(weights)
-    # v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u
+    n, nx, half = p.n, p.nodes, (p.nodes + 1) // 2
+    _lift(p, weights)
+    E, O = _layers(p, weights)
+    # N (n, nx) = last(silu(first(v)))
+    first, last = weights.layers("network.project")
+    size, width = first["weight"].shape
+    hidden, bias = p.buffer("hidden", 2 * half, size), p.constant("project_bias", first["bias"])
+    project, by_last = p.weights("project", first["weight"].T / 2, half), p.constant("last", last["weight"] / 2)
+    N = p.buffer("N_parts", 2 * half, n)
+    p.operations += [
+        Product(hidden, E, project, (half, width, size), bias),
+        Product(_after(hidden, half), O, project, (half, width, size)),
+        program.SiluParts("hidden", "hidden", half * size),
+        program.Dots(N, hidden, by_last, (2 * half, size, n)),
+        program.Mirror(Matrix("N", nx), Matrix("N_parts", 1, n), Matrix("N_parts", 1, n, half * n), n, nx),
+    ]
+    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
+        p.twice = True
+        p.buffer("N_rest", 1, n * nx)
+    elif weights.anchor == "equilibrium":
+        p.series = _at_rest(p, weights)
+
+
+def _lift(p: Program, weights: Weights) -> None:
+    """v_0 (nx, width), from the constants X and D_hat, then x and the running mean of u."""
+    n, nx, lift = p.n, p.nodes, weights["network.lift.weight"].T
+    width = lift.shape[1]
     shift, v = p.buffer("shift", 1, width), p.buffer("waves", nx, width)
     zero = weights["network.lift.bias"] + p.z_zero @ lift[:n] + p.v_zero @ lift[p.columns : -1]
     bias, by_z = p.constant("lift", zero), p.weights("by_z", lift[: p.columns], 1)
@@ -37,42 +61,48 @@ def append(p: Program, weights: Weights) -> None:
     p.operations += [
         Product(shift, Matrix("z", p.columns), by_z, (1, p.columns, width), bias),
         Product(v, nodes, by_x, (nx, 1, width), replace(shift, row=0)),
-        Product(v, Matrix("r", p.stride, p.nx), by_mean, (nx, m, width), adds=True),
+        Product(v, Matrix("r", p.stride, p.nx), by_mean, (nx, p.m, width), adds=True),
     ]
-    # v = silu(W v + b + F^-1 (R_k F v)), layer after layer
-    modes, pair = len(spectral[0]), 2 * width  # the real and the imaginary part of R, side by side
-    forward, inverse = matrices.fourier(nx, modes)
-    local = p.stack("local", [layer["weight"].T for layer in linear], nx)
+
+
+def _layers(p: Program, weights: Weights) -> tuple[Matrix, Matrix]:
+    """v = silu(W v + b + F^-1 (R_k F v)), layer after layer, of the sums E and the differences O of v at x and 1 - x:
+    a row of F is even or odd, so that half of the nodes do. They are twice v's even and odd part.
+    """
+    linear, spectral, half = weights.layers("network.local"), _spectral(weights), (p.nodes + 1) // 2
+    modes, width, pair = spectral[0].shape  # pair: the real and the imaginary part of R, side by side
+    forward, inverse = matrices.fourier(p.nodes, modes)
+    even = 2 * np.arange(modes) + np.arange(modes) % 2  # Re of mode 0, Im of 1, Re of 2, …; their partners are odd
+    forward[:, half - 1] /= 1 + p.nodes % 2  # the middle counts once
+    signs = np.append(np.ones(width), -np.ones(width))  # the partners of an odd mode are (Im, Re): R's conjugate
+    by_mode = p.stack("matrix", [mode * signs ** (k % 2) for R in spectral for k, mode in enumerate(R)], 2)
+    local = p.stack("local", [layer["weight"].T / 2 for layer in linear], half)
     biases = p.stack("bias", [layer["bias"] for layer in linear])
-    by_mode = p.stack("matrix", [mode for R in spectral for mode in R], 2)
-    matrix = replace(by_mode, turn=width * pair, layer=modes * width * pair)
+    E, out = p.buffer("parts", 2 * half, width), p.buffer("sums", 2 * half, width)
     v_hat, y_hat = p.buffer("v_hat", 2 * modes, width), p.buffer("y_hat", 2 * modes, width)
-    pairs, out = p.buffer("pairs", 2 * modes, pair), p.buffer("sums", nx, width)
-    modal = replace(pairs, turn=2 * pair), replace(v_hat, turn=pair), matrix
-    layer = (
-        Product(out, v, local, (nx, width, width), biases),
-        Product(v_hat, p.constant("forward", forward), v, (2 * modes, nx, width)),
-        Product(*modal, (2, width, pair), repeats=modes),
+    modal = replace(p.buffer("pairs", 2 * modes, pair), turn=2 * pair), replace(v_hat, row=modes * width, turn=width)
+    matrix = replace(by_mode, turn=width * pair, layer=modes * width * pair)
+    to, back = [], []
+    for name, rows, k in (("even", even, 0), ("odd", even ^ 1, 1)):
+        v, sums, transformed = _after(E, k * half), _after(out, k * half), _after(v_hat, k * modes)
+        to += [
+            Product(sums, v, local, (half, width, width), None if k else biases),
+            Product(transformed, p.constant(f"forward_{name}", forward[rows, :half]), v, (modes, half, width)),
+        ]
+        inverted = p.constant(f"inverse_{name}", inverse[:half, rows])
+        back.append(Product(sums, inverted, _after(y_hat, k * modes), (half, modes, width), adds=True))
+    through = (
+        Product(*modal, matrix, (2, width, pair), repeats=modes),
         program.Recombine("y_hat", "pairs", modes, width),
-        Product(out, p.constant("inverse", inverse), y_hat, (nx, 2 * modes, width), adds=True),
-        Silu("waves", "sums", nx * width),
     )
-    # N (n, nx) = last(silu(first(v)))
-    first, last = weights.layers("network.project")
-    size = len(first["weight"])
-    hidden, hidden_bias = p.buffer("hidden", nx, size), p.constant("project_bias", first["bias"])
-    project = p.weights("project", first["weight"].T, nx)
-    p.operations += [
-        program.Repeat(len(linear), layer),
-        Product(hidden, v, project, (nx, width, size), hidden_bias),
-        Silu("hidden", "hidden", size * nx),
-        program.Dots(Matrix("N", 1, nx), hidden, p.constant("last", last["weight"]), (nx, size, n)),
-    ]
-    if weights.anchor == "equilibrium" and p.period:  # N at rest depends on two numbers, for which there is no series
-        p.twice = True
-        p.buffer("N_rest", 1, n * nx)
-    elif weights.anchor == "equilibrium":
-        p.series = _at_rest(p, weights)
+    layer = (*to, *through, *back, program.SiluParts("parts", "sums", half * width))
+    p.operations += [program.Parts("parts", "waves", p.nodes, width), program.Repeat(len(linear), layer)]
+    return E, _after(E, half)
+
+
+def _after(matrix: Matrix, rows: int) -> Matrix:
+    """The rows of a matrix after the first ones."""
+    return replace(matrix, offset=rows * matrix.row)
 
 
 def _spectral(weights: Weights) -> list[np.ndarray]:

@@ -124,8 +124,15 @@ class SiluPair(Silu):
 
 
 @dataclass(frozen=True)
+class SiluParts(Silu):
+    """Of the even and the odd parts of `count` numbers each: the sums and the differences of silu(even +- odd)."""
+
+    function: ClassVar[str] = "silu_parts"
+
+
+@dataclass(frozen=True)
 class Recombine:
-    """y (2 modes, width), Re and Im by mode, = R v, of `pairs` (2 modes, 2 width): Re v, Im v times (Re R, Im R)."""
+    """y (2 modes, width), all Re, then all Im, = R v, of `pairs` (2 modes, 2 width): Re v, Im v times (Re R, Im R)."""
 
     y: str
     pairs: str
@@ -148,6 +155,19 @@ class Mirror:
 
     def lines(self, view: View) -> list[str]:
         return [f"mirror({self.rows}, {self.nx}, {', '.join(map(view, (self.even, self.odd, self.out)))});"]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The sums and the differences (2 half, width) of the rows of `a` (nx, width) and those from the end on."""
+
+    out: str
+    a: str
+    nx: int
+    width: int
+
+    def lines(self, view: View) -> list[str]:
+        return [f"parts({self.nx}, {self.width}, q->{self.a}, q->{self.out});"]
 
 
 @dataclass(frozen=True)
@@ -176,7 +196,7 @@ class Repeat:
         return [f"for (int o = 0; o < {self.count}; o++) {{", *inner, "}"]
 
 
-Operation = Product | Dots | Silu | SiluPair | Recombine | Mirror | Halves | Repeat
+Operation = Product | Dots | Silu | Recombine | Mirror | Parts | Halves | Repeat
 
 
 @dataclass(frozen=True)

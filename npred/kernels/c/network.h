@@ -190,15 +190,16 @@ SPARE static INLINED void dots(int rows, int terms, int n, REAL *out, View to, c
     }
 }
 
-/* y (2 modes, width) = R v of complex numbers, from `pairs` (2 modes, 2 width): Re v and Im v times (Re R, Im R). */
+/* y (2 modes, width) = R v of complex numbers, all Re, then all Im, from `pairs` (2 modes, 2 width): Re v and Im v times
+ * (Re R, Im R). */
 SPARE static inline void recombine(int modes, int width, const REAL *pairs, REAL *y)
 {
     for (int e = 0; e < modes; e++) {
         const REAL *const real = pairs + e * 4 * width, *const imaginary = real + 2 * width;
-        REAL *const out = y + e * 2 * width;
+        REAL *const out = y + e * width;
         LANES for (int j = 0; j < width; j++) {
             out[j] = real[j] - imaginary[width + j];
-            out[width + j] = real[width + j] + imaginary[j];
+            out[modes * width + j] = real[width + j] + imaginary[j];
         }
     }
 }
@@ -307,6 +308,38 @@ SPARE VECTORS_64 static APART void silu_pair(int count, const REAL *a, REAL *out
             const REAL small = s_rest[j] * (1 - s[j]) * change_of_exp(d[j]), size = d[j] < 0 ? -d[j] : d[j];
             out[count + i + j] = rest[j] * s_rest[j];
             out[i + j] = d[j] * s[j] + rest[j] * (size < (REAL)0.5 ? small : s[j] - s_rest[j]);
+        }
+    }
+}
+
+/* Of the even and the odd parts a (2, count): with v = silu(even + odd), w = silu(even - odd), out is v + w, then v - w. */
+SPARE VECTORS_64 static APART void silu_parts(int count, const REAL *a, REAL *out)
+{
+    REAL x[2 * BLOCK], s[2 * BLOCK];
+    for (int i = 0; i < count; i += BLOCK) {
+        const int width = least(BLOCK, count - i);
+        for (int j = 0; j < width; j++) {
+            x[j] = a[i + j] + a[count + i + j];
+            x[width + j] = a[i + j] - a[count + i + j];
+        }
+        logistic(2 * width, x, s);
+        LANES for (int j = 0; j < width; j++) {
+            const REAL v = x[j] * s[j], w = x[width + j] * s[width + j];
+            out[i + j] = v + w;
+            out[count + i + j] = v - w;
+        }
+    }
+}
+
+/* The sums and the differences (2 (nx + 1) / 2, width) of rows j and nx - 1 - j of v (nx, width). */
+SPARE static inline void parts(int nx, int width, const REAL *v, REAL *out)
+{
+    for (int j = 0; j < (nx + 1) / 2; j++) {
+        const REAL *const a = v + j * width, *const b = v + (nx - 1 - j) * width;
+        REAL *const sums = out + j * width, *const differences = sums + (nx + 1) / 2 * width;
+        LANES for (int c = 0; c < width; c++) {
+            sums[c] = a[c] + b[c];
+            differences[c] = a[c] - b[c];
         }
     }
 }
