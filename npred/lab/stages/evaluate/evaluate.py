@@ -26,6 +26,7 @@ from npred.networks.weights import read
 from npred.prediction.methods import Predictor, numerical
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
+BEGUN: dict[str, figures.EvaluationData] = {}  # by pipeline, for its page is written after each stage
 SHARES, LEAST = 8, 3  # a task of a compiled predictor has this share of the loops left, and so many at least
 
 
@@ -130,7 +131,9 @@ def load_network(job: Job, network_id: PredictorId) -> Predictor:
 
 
 def begun(job: Job) -> figures.EvaluationData:
-    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network."""
+    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network; simulated once."""
+    if (asked := repr(job.config)) in BEGUN:
+        return BEGUN[asked]
     config, begin = job.config.evaluate, starts(job.config, job.plant)
 
     def series(table: Evaluate) -> dict[PredictorId, LoopSeries]:
@@ -140,7 +143,8 @@ def begun(job: Job) -> figures.EvaluationData:
         return {c: LoopSeries(**{name: getattr(run, name) for name in behaviour.SERIES}) for c, run in shown.items()}
 
     bounded, none = series(config.bounded) if config.bounded else {}, np.zeros(0)
-    return figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+    BEGUN[asked] = figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+    return BEGUN[asked]
 
 
 def _exact(job: Job) -> dict[PredictorId, Predictor]:
