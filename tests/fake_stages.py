@@ -17,6 +17,7 @@ from result_samples import BENCHED, HARDWARE, SCORES, TRAINED, evaluated
 from npred.base.json_files import plain
 from npred.lab.scheduler.declaration import Stage
 from npred.lab.scheduler.plan import STAGES
+from npred.lab.stages.report import UNFINISHED
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ ANSWERS: dict[str, Callable[[Any], dict[str, Any]]] = {
     "bench": lambda job: BENCHED | {"hardware": HARDWARE | {"device": job.device, "threads": job.jobs}},
     "report": lambda job: {
         "summary": ["Errors.", "Loops.", "Times."],
-        "bytes": (job.folder / "report.html").write_text("<!doctype html>"),
+        "bytes": (job.folder / "report.html").write_text("complete" if "bench" in job.inputs else UNFINISHED),
     },
 }
 

@@ -9,7 +9,7 @@ from npred.base import devices
 from npred.base.errors import ConfigError, room_on_disk, unlisted
 from npred.base.registry import declared_stage
 from npred.cli.options import Staged, Trains, Work, flag, writable_folder
-from npred.cli.report import free_path, place, publish, sign, write_figures
+from npred.cli.report import free_path, is_complete, place, publish, sign, write_figures
 from npred.lab.config.results import Benched, Evaluated, Reported
 from npred.lab.report.figures.style import MEDIA
 from npred.lab.report.terminal.console import Events, columns
@@ -147,7 +147,8 @@ def _work(options: Work, stage: str | None, model: str | None = None, output: Pa
     def so_far(folder: Path) -> None:
         options.console.note(f"the report so far, which stages complete as they end: {written(folder)}")
 
-    outcomes = bring(options, targets, model, so_far=so_far)
+    kept = path is not None and is_complete(path)  # until there is a new page as complete
+    outcomes = bring(options, targets, model, so_far=None if kept else so_far)
     final = [outcome for outcome in outcomes if outcome.node.stage in ([stage] if stage else ["evaluate", "bench"])]
     page = written(outcomes[-1].artifact.folder)
     if options.json:

@@ -7,6 +7,7 @@ import html
 import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING
 from npred.base import json_files
 from npred.base.errors import ConfigError
 from npred.cli.options import Piped, Work
+from npred.lab.stages.report import UNFINISHED
 
 if TYPE_CHECKING:
     from npred.lab.report.figures.style import Style
@@ -33,6 +35,13 @@ def place(options: Work, output: Path | None) -> Path:
     Where that name is another pipeline's, the page gets a second one, and a line says so.
     """
     return output or free_path(options, options.pipeline.stem, lambda name: options.store / f"{name}.html")
+
+
+def is_complete(path: Path) -> bool:
+    """True if there is a page of a run that ended."""
+    with suppress(OSError):
+        return UNFINISHED not in json_files.regular(path).read_text(encoding="utf-8", errors="replace")
+    return False
 
 
 def publish(options: Work, folder: Path, path: Path, asked: bool) -> Path:

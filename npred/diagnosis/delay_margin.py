@@ -37,6 +37,7 @@ TOLERANCE = 1e-9  # error of the margin relative to D
 GROWTH = 3 / np.pi  # a step to the left multiplies T by e to that, at most: far left it is too large to follow
 FIRST_C, NEAR = 0.1 / np.pi, 1e-6  # shares of the slowest rate: the first step in c, without an eigenvalue; the last
 QUIET = 0.5  # frequencies end where |T| stays below
+FLAT = 0.01  # times the slowest rate of the loop: below it G does not depend on the frequency
 HIGHEST = 1e6  # times the fastest rate of the loop: the highest frequency that is looked for
 PHASE = 0.2  # rad, by which the delays turn T between two frequencies
 AROUND = np.sinh(np.linspace(-6.0, 6.0, 41))  # times the damping of a pole: frequencies around it
@@ -111,7 +112,8 @@ def tolerated(case: Case) -> Verdict:
     figures: dict[str, Any] = {"D": D, "low": D + low, "high": None if np.isinf(high) else D + high}
     figures["longest_without_prediction"] = None if np.isinf(longest) else longest
     if not loops.applies(case):
-        return "yes", f"{text}, {unpredicted}; no loop from the box was simulated", figures
+        verdict = "yes" if low < high else "warn"
+        return verdict, f"{text}, {unpredicted}; no loop from the box was simulated", figures
     inside = 0.0 if low == -D else D + INSIDE * low, D + INSIDE * high if high < np.inf else LONGEST * D
     each = [loops.ensemble(case, float(D_hat)) for D_hat in inside]
     experiment = case.experiment and replace(case.experiment, D=bare)
@@ -148,8 +150,13 @@ class MismatchedLoop:
         return float(1 / -self.poles.real.max())
 
     def edge(self, end: float) -> float:
-        """The D_hat of the first crossing on the way from D to `end`; 0 or infinity where there is none."""
+        """The D_hat of the first crossing on the way from D to `end`; 0 or infinity where there is none; D itself where
+        |T| is not small at any frequency: less than a millionth of the fastest time constant is borne.
+        """
         a, step = self.D, FIRST * self.unit
+        with np.errstate(over="ignore", invalid="ignore"):  # e^{A D} of an unstable plant
+            if not np.linalg.norm(self.G(np.full(1, HIGHEST * np.abs(self.poles).max()), a)) < QUIET / 2:
+                return a
         while a != end:
             b = a + np.clip(end - a, -step, step)
             omega = self.frequencies(a, b)
@@ -204,14 +211,15 @@ class MismatchedLoop:
 
     def frequencies(self, *D_hats: float, c: float = 0.0) -> np.ndarray:
         """Frequencies in rad/s from 0 to where |T| stays small: equally far, and denser around the poles."""
-        fastest = np.abs(self.poles).max()
-        far = np.geomspace(fastest, HIGHEST * fastest, 200)
+        around = (np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real - c)).ravel()
+        around, far = around[around > 0], np.geomspace(FLAT / self.slowest, HIGHEST * np.abs(self.poles).max(), 300)
+        tried = np.unique(np.concatenate([far, around]))
         most = 2 * np.exp(-c * np.outer(self.r, (self.D, *D_hats))).max()  # |e^{-s D} - e^{-s D_hat}|
-        loud = np.max([np.linalg.norm(self.G(far, D_hat, c), axis=(1, 2)) for D_hat in D_hats], axis=0) >= QUIET / most
-        top = far[min(np.flatnonzero(loud)[-1] + 1, len(far) - 1)] if loud.any() else fastest
+        gains = [np.linalg.norm(self.G(tried, D_hat, c), axis=(1, 2)) for D_hat in D_hats]
+        loud = np.flatnonzero(np.max(gains, axis=0) >= QUIET / most)
+        top = tried[min(loud.max(initial=-1) + 1, len(tried) - 1)]
         even = np.arange(0.0, top + 1.0 / max(self.D, *D_hats), PHASE / max(self.D, *D_hats))
-        around = np.abs(self.poles.imag) + np.outer(AROUND, self.poles.real - c)
-        return np.unique(np.concatenate([even, around[(around > 0) & (around < top)]]))
+        return np.unique(np.concatenate([even, around[around < top]]))
 
     def T(self, omega: np.ndarray, D_hat: float, c: float = 0.0) -> np.ndarray:
         """The return ratio T(c + iω), (frequencies, m, m)."""

@@ -21,6 +21,7 @@ import npred
 from npred.base.registry import STAGES, declared_stage
 from npred.cli import app, inspect, main
 from npred.lab.config.results import Evaluated
+from npred.lab.stages.report import UNFINISHED
 from npred.lab.store import Question, ResultInput, Store
 
 
@@ -76,6 +77,14 @@ def test_a_run_ends_with_the_sentences_one_table_and_the_page(call: Call):
     assert end[10:] == ["", "report: artifacts/tiny.html"]
     wide = call("run", "tiny.toml", "--wide").stdout
     assert "up to date" in wide and "details of" in wide and wide.endswith("report: artifacts/tiny.html\n")
+
+
+def test_a_page_that_is_complete_stays_until_there_is_another(call: Call, monkeypatch: pytest.MonkeyPatch):
+    page, seen, bench = Path("artifacts/tiny.html"), [], fake_stages.ANSWERS["bench"]
+    monkeypatch.setitem(fake_stages.ANSWERS, "bench", lambda job: seen.append(page.read_text()) or bench(job))
+    for seed in ("1", "2"):
+        call("run", "tiny.toml", "--set", f"seed={seed}")
+    assert seen == [UNFINISHED, "complete"] and page.read_text() == "complete"
 
 
 def test_a_run_leaves_its_log_in_the_store(call: Call):

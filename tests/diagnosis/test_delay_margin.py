@@ -263,3 +263,28 @@ def test_what_has_no_longest_delay_is_refused():
         npred.delay_margin(npred.plant("scalar", c=-1.0))
     with pytest.raises(ConfigError, match="expected a constant delay"):
         npred.delay_margin(npred.plant("transport_tank"))
+
+
+class Stiff:
+    """An unstable state, and a fast one behind it that nothing reads."""
+
+    states, inputs, parameters = ("x", "fast"), ("u",), {"rate": 100.0}
+    f = lambda x, u, t, p, M: [x.x + u.u, p.rate * (x.x - x.fast)]
+    kappa = lambda x, t, p, M: [-2.5 * x.x]
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.floats(2, 7))
+def test_a_fast_state_that_nothing_reads_changes_neither_margin_nor_work(exponent: float):
+    slow, stiff = Plant("line", Line, {"a": 1.0, "k": 2.5}), Plant("stiff", Stiff, {"rate": 10.0**exponent})
+    np.testing.assert_allclose(npred.delay_margin(stiff, 0.3), npred.delay_margin(slow, 0.3), rtol=1e-6)
+    assert len(MismatchedLoop(stiff, 0.3).frequencies(0.3, 0.5)) < 200
+
+
+def test_a_plant_that_grows_by_e_to_the_300_over_its_delay_bears_no_error():
+    class Steep:
+        states, inputs = ("x", "v"), ("a",)
+        f = lambda x, u, t, p, M: [x.v, 1000 * (1 - x.x**2) * x.v - x.x + u.a]
+        kappa = lambda x, t, p, M: [-1004 * x.v - 4 * x.x]
+
+    assert npred.delay_margin(Plant("steep", Steep), 0.3) == (0.0, 0.0)

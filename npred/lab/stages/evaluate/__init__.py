@@ -4,7 +4,7 @@ from typing import Any
 
 from npred.lab.scheduler.declaration import Slices, Stage
 
-STAGE = Stage(__name__, version=20, upstream=("generate", "train"), result_class="npred.lab.config.results:Evaluated")
+STAGE = Stage(__name__, version=21, upstream=("generate", "train"), result_class="npred.lab.config.results:Evaluated")
 HELD_OUT = ("test_share", "explore", "redraw", "spread", "explore_D", "explore_D_hat")
 
 

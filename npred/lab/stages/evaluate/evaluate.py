@@ -1,8 +1,7 @@
 """The evaluate stage: errors on held-out rows of each kind, closed loops, and the certificate of both."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import chain, zip_longest
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,8 @@ from npred.networks.weights import read
 from npred.prediction.methods import Predictor, numerical
 
 FALLBACKS = 0.05  # share of steps with the numerical predictor, above which a guarded network is warned of
-SHARE = 3  # loops of a compiled predictor in a task
+BEGUN: dict[str, figures.EvaluationData] = {}  # by pipeline, for its page is written after each stage
+SHARES, LEAST = 8, 3  # a task of a compiled predictor has this share of the loops left, and so many at least
 
 
 def run(job: Job) -> Evaluated:
@@ -51,13 +51,13 @@ def run(job: Job) -> Evaluated:
     taken = accuracy.sample_steps(job.config.seed, config, len(begin.D))[begin.cases] * config.dt
     held_out = accuracy.held_out(job, data)
     fresh = accuracy.fresh(loops[NUMERICAL].part(begin.cases), taken, predictors[NUMERICAL])
-    networks, P_hat = {}, {}
-    for network_id in filter(lambda each: each.is_network, predictors):
-        # by torch, where it is installed, and so equal up to rounding: the data's grid need not be compiled too
-        network: Any = bare(predictors[network_id])
-        network = runtimes.predictor(None, job.plant, network.operator, network.nx, network.name, job.device)
-        networks[network_id] = network
-        P_hat[network_id] = {kind: accuracy.predict(network, rows) for kind, rows in held_out.items()}
+    networks = {c: bare(predictor) for c, predictor in predictors.items() if c.is_network}
+
+    def predicted(network: Predictor) -> dict[str, np.ndarray]:
+        return {kind: accuracy.predict(network, rows) for kind, rows in held_out.items()}
+
+    with job.threads() as pool:
+        P_hat = dict(zip(networks, pool.map(predicted, networks.values()), strict=True))
     accuracy.write(job.folder / "errors.h5", held_out, P_hat)
     models = {}
     for predictor_id in predictors:
@@ -131,7 +131,9 @@ def load_network(job: Job, network_id: PredictorId) -> Predictor:
 
 
 def begun(job: Job) -> figures.EvaluationData:
-    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network."""
+    """The loop of Fig. 1 with the numerical predictor alone, as long as there is no network; simulated once."""
+    if (asked := repr(job.config)) in BEGUN:
+        return BEGUN[asked]
     config, begin = job.config.evaluate, starts(job.config, job.plant)
 
     def series(table: Evaluate) -> dict[PredictorId, LoopSeries]:
@@ -141,7 +143,8 @@ def begun(job: Job) -> figures.EvaluationData:
         return {c: LoopSeries(**{name: getattr(run, name) for name in behaviour.SERIES}) for c, run in shown.items()}
 
     bounded, none = series(config.bounded) if config.bounded else {}, np.zeros(0)
-    return figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+    BEGUN[asked] = figures.EvaluationData(job.plant, config, {}, 0.0, series(config), none, none, {}, {}, {}, bounded)
+    return BEGUN[asked]
 
 
 def _exact(job: Job) -> dict[PredictorId, Predictor]:
@@ -169,8 +172,8 @@ def _all_loops(
     """Every predictor's loops, that of Fig. 1 with U within `figure_bounds` (if any), and its error in the loop.
 
     In threads: kernels and torch let go of the GIL, and networks need not be sent.
-    Shares are of fixed size, so that the bytes do not depend on the number of threads: all loops at once where a call
-    has a fixed cost to share.
+    Shares do not depend on the number of threads, nor do the bytes: all loops at once where a call has a fixed cost to
+    share.
     """
     config = job.config.evaluate
     job.progress.doing("evaluate", "compiling")
@@ -178,10 +181,7 @@ def _all_loops(
         predictor.lanes()  # compiled here, once, not by threads side by side
     adapting = [c for c in predictors if c.adapts]  # with D_hat = D adaptation makes no difference
     counts = {c: begin.of(c) for c in predictors}
-    widths = {c: SHARE if predictor.compiled else counts[c] for c, predictor in predictors.items()}
-    shares = [
-        [(c, slice(i, min(i + widths[c], count))) for i in range(0, count, widths[c])] for c, count in counts.items()
-    ]
+    shares = [[(c, part) for part in _parts(counts[c], predictor.compiled)] for c, predictor in predictors.items()]
     steps = sum(counts.values()) * (round(config.case_t_end / config.dt) + 1) + at_D.steps * len(adapting)
     with job.progress.bar("evaluate", steps, "steps") as bar, job.threads() as pool:
         checks = {c: pool.submit(accuracy.in_loop_error, job.plant, predictors[c], at_D, bar.advance) for c in adapting}
@@ -196,6 +196,16 @@ def _all_loops(
         bounded = {c: done.result() for c, done in within.items()}
         errors = {c: done.result() for c, done in checks.items()}
         return loops, bounded, errors | {NO_ADAPTATION: errors[NUMERICAL]}
+
+
+def _parts(count: int, shared: bool) -> Iterator[slice]:
+    """The tasks of so many loops: wide ones first, whose lanes take less time, and then short ones, for all cores to
+    end together.
+    """
+    start = 0
+    while start < count:
+        width = max((count - start) // SHARES, LEAST) if shared else count
+        yield slice(start, start := min(start + width, count))
 
 
 def _loops(

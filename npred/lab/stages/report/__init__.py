@@ -10,6 +10,7 @@ STAGE = Stage(
     upstream=("generate", "train", "evaluate", "certify", "bench"),
     result_class="npred.lab.config.results:Reported",
 )
+UNFINISHED = "This page is not complete."  # on one that is written while its run goes on
 
 
 def key(slices: Slices) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from npred.lab.scheduler.job import Job
 from npred.lab.scheduler.plan import nodes
 from npred.lab.stages.bench import bench
 from npred.lab.stages.evaluate import evaluate
-from npred.lab.stages.report import html_page, tables
+from npred.lab.stages.report import UNFINISHED, html_page, tables
 from npred.loop import metrics
 from npred.plants import Plant
 from npred.plants.notation import symbol
@@ -123,7 +123,7 @@ def run(job: Job) -> Reported:
     else:
         results.evaluation = evaluate.begun(job)
     if follow := [name for name in nodes(job.config, ["report"])[-1].inputs if name not in job.inputs]:
-        caution = f"This page is not complete. When it was written, the run went on with: {', '.join(follow)}."
+        caution = f"{UNFINISHED} When it was written, the run went on with: {', '.join(follow)}."
     drawn, tabulated = results.figures(), results.tables()
     chapters = [
         {
