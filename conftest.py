@@ -20,7 +20,10 @@ from typer.testing import CliRunner, Result
 
 from npred.cli import app
 from npred.lab.config import Pipeline
+from npred.lab.report.figures.figure import Panel, inline
+from npred.lab.report.figures.style import SCREEN, medium
 from npred.lab.scheduler.plan import STAGES, Node, Planner
+from npred.lab.stages.report import html_page
 from npred.lab.store import Store
 
 Call = Callable[..., Result]
@@ -89,18 +92,34 @@ def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("npred.base.progress._said", set())  # a line is said once by a process
 
 
-@contextmanager
-def without_drawings() -> Iterator[None]:
-    """Pages are written without drawing their figures, which takes most of a report's time."""
+def sketched(panel: Panel, prefix: str) -> str:
+    """A panel whose curves are put on axes, and neither laid out nor written: that takes most of a page's time."""
+    from matplotlib.figure import Figure
+
+    with medium(SCREEN):
+        panel.draw(Figure().subplots())
+    return "<svg></svg>"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sketches() -> Iterator[None]:
+    """The pages of a test that does not ask for `drawn`, in this process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("npred.lab.stages.report.html_page.inline", lambda panel, prefix: "<svg></svg>")
+        patch.setattr(html_page, "inline", sketched)
+        yield
+
+
+@contextmanager
+def drawings() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(html_page, "inline", inline)
         yield
 
 
 @pytest.fixture
-def undrawn() -> Iterator[None]:
-    """The same for a test that asks nothing of the figures of a page: those of the report and of test_figures.py do."""
-    with without_drawings():
+def drawn() -> Iterator[None]:
+    """Pages have their figures: those of the report, of the answer of identify, and of docs/report.md."""
+    with drawings():
         yield
 
 
@@ -208,7 +227,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "reported"
     folder.mkdir(exist_ok=True)
-    with FileLock(folder / "lock"):
+    with FileLock(folder / "lock"), drawings():
         return reported.run(folder)
 
 
