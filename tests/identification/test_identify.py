@@ -439,8 +439,8 @@ class SlowHeater:
 def test_a_slow_plant_keeps_what_its_whole_log_knows():
     """A time constant of a third of the log and two edges in a row of it; whatever the longest delay is."""
     f = lambda x, u: np.array([(x[1] - x[0]) / 17, (0.6 * u[0] + 21 - x[1]) / 142])
-    commands = np.repeat([10.0, 80.0, 30.0, 60.0, 0.0, 100.0], [35, 30, 40, 30, 35, 40])[:, None]
-    t, U, X = recording(f, [30.0, 32.0], commands, [8.0], 2.0, 0.005, 5, outputs=1)
+    commands = np.repeat([10.0, 80.0, 30.0, 60.0, 0.0, 100.0], [70, 60, 80, 60, 70, 80])[:, None]
+    t, U, X = recording(f, [30.0, 32.0], commands, [8.0], 1.0, 0.005, 5, outputs=1)
     X, truth = np.append(X, np.nan * X, axis=1), {"K": 0.6, "tau": 142.0, "tau2": 17.0, "y0": 21.0}
     plant = npred.plants.make("heater", SlowHeater)
     found = [npred.identify(plant, t, U, X, free=list(truth), longest=longest) for longest in (20.0, 45.0)]
