@@ -19,6 +19,7 @@ from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
+from npred.kernels import compiler
 from npred.lab.config import Pipeline
 from npred.lab.report.figures.figure import Panel, inline
 from npred.lab.report.figures.style import SCREEN, medium
@@ -40,6 +41,7 @@ LONGEST = (
     "test_docs", "test_units_of_time", "test_c_compilers", "test_chain", "test_recording_to_pipeline", "test_formula",
     "test_models",
 )  # fmt: skip
+QUICK = tuple("-O1" if flag == "-O3" else flag for flag in compiler.FLAGS)
 TANK = """
 class Tank:
     states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
@@ -120,6 +122,14 @@ def drawings() -> Iterator[None]:
 def drawn() -> Iterator[None]:
     """Pages have their figures: those of the report, of the answer of identify, and of docs/report.md."""
     with drawings():
+        yield
+
+
+@pytest.fixture(scope="module")
+def quickly_compiled() -> Iterator[None]:
+    """Kernels of this process are optimised less: for plants that no other test has, and many of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "FLAGS", QUICK)
         yield
 
 

@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 from c_controllers import InC, library, needs_gcc
+from conftest import QUICK
 from self_tested import TWELVE
 
 import npred
@@ -56,6 +57,8 @@ def test_no_function_of_an_export_has_a_frame_above_4_kb_and_its_header_tells_it
     tmp_path, monkeypatch, name, precision
 ):
     monkeypatch.setattr(c_controller, "_test", lambda *of: "")  # of twelve joints it takes minutes
+    if "joints" in name:
+        monkeypatch.setattr(compiler, "FLAGS", QUICK)
     compiled = library(MADE[name](), tmp_path, precision, FRAME)
     told = re.findall(r"takes (\d+) bytes of memory, of which its state is (\d+)", (tmp_path / "npred.h").read_text())
     assert told == [(str(compiled.size_of_controller()), str(compiled.size_of_saved()))]
@@ -70,6 +73,7 @@ def test_nor_has_the_filter_where_loops_are_simulated(tmp_path, count):
 @pytest.mark.parametrize("count", [7, 12])
 def test_an_arm_of_many_joints_stops_in_python_and_in_c(tmp_path, monkeypatch, count):
     monkeypatch.setattr(c_controller, "_test", lambda *of: "")
+    monkeypatch.setattr(compiler, "FLAGS", QUICK)
     controller = of_joints(count, 0.02)
     in_c, X = InC(library(controller, tmp_path, more=FRAME), controller.plant), np.zeros(2 * count)
     X[:count], X[count:] = 0.6, 0.7
