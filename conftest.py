@@ -19,8 +19,12 @@ from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
+from npred.kernels import compiler
 from npred.lab.config import Pipeline
+from npred.lab.report.figures.figure import Panel, inline
+from npred.lab.report.figures.style import SCREEN, medium
 from npred.lab.scheduler.plan import STAGES, Node, Planner
+from npred.lab.stages.report import html_page
 from npred.lab.store import Store
 
 Call = Callable[..., Result]
@@ -37,6 +41,7 @@ LONGEST = (
     "test_docs", "test_units_of_time", "test_c_compilers", "test_chain", "test_recording_to_pipeline", "test_formula",
     "test_models",
 )  # fmt: skip
+QUICK = tuple("-O1" if flag == "-O3" else flag for flag in compiler.FLAGS)
 TANK = """
 class Tank:
     states, inputs, guess, box = ("h",), ("q",), (1.0,), {"h": (0.5, 2.0)}
@@ -89,18 +94,42 @@ def _no_settings_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("npred.base.progress._said", set())  # a line is said once by a process
 
 
-@contextmanager
-def without_drawings() -> Iterator[None]:
-    """Pages are written without drawing their figures, which takes most of a report's time."""
+def sketched(panel: Panel, prefix: str) -> str:
+    """A panel whose curves are put on axes, and neither laid out nor written: that takes most of a page's time."""
+    from matplotlib.figure import Figure
+
+    with medium(SCREEN):
+        panel.draw(Figure().subplots())
+    return "<svg></svg>"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _sketches() -> Iterator[None]:
+    """The pages of a test that does not ask for `drawn`, in this process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("npred.lab.stages.report.html_page.inline", lambda panel, prefix: "<svg></svg>")
+        patch.setattr(html_page, "inline", sketched)
+        yield
+
+
+@contextmanager
+def drawings() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(html_page, "inline", inline)
         yield
 
 
 @pytest.fixture
-def undrawn() -> Iterator[None]:
-    """The same for a test that asks nothing of the figures of a page: those of the report and of test_figures.py do."""
-    with without_drawings():
+def drawn() -> Iterator[None]:
+    """Pages have their figures: those of the report, of the answer of identify, and of docs/report.md."""
+    with drawings():
+        yield
+
+
+@pytest.fixture(scope="module")
+def quickly_compiled() -> Iterator[None]:
+    """Kernels of this process are optimised less: for plants that no other test has, and many of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler, "FLAGS", QUICK)
         yield
 
 
@@ -208,7 +237,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "reported"
     folder.mkdir(exist_ok=True)
-    with FileLock(folder / "lock"):
+    with FileLock(folder / "lock"), drawings():
         return reported.run(folder)
 
 

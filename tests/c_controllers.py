@@ -68,20 +68,23 @@ def find_nothing(folder, file, *flags, names=("gcc", "clang")):
         assert done.returncode == 0 and not done.stderr, f"{name}: {done.stderr}"
 
 
-def library(controller, folder, precision="double"):
-    """The shared library of a controller; its two files are in the folder."""
+def library(controller, folder, precision="double", more=("-O1",)):
+    """The shared library of a controller, with more flags of gcc; its two files are in the folder.
+
+    Optimised as far as its numbers need: test_stack.py and test_self_test.py take more.
+    """
     header, source = sources(controller, precision=precision)
     (folder / "npred.h").write_text(header)
     (folder / "npred.c").write_text(source)
     (folder / "sizes.c").write_text(SIZES)
-    if (header, source) in COMPILED:
-        return COMPILED[header, source]
-    flags = [*FLAGS, *(["-Wdouble-promotion"] if precision == "float" else [])]
+    if (header, source, more) in COMPILED:
+        return COMPILED[header, source, more]
+    flags = [*FLAGS, *more, *(["-Wdouble-promotion"] if precision == "float" else [])]
     find_nothing(folder, "sizes.c", *flags, names=("clang",))  # gcc compiles it with these flags
     command = ["gcc", *flags, "-shared", "-fPIC", "sizes.c", "-o", "npred.so", "-lm"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
-    return COMPILED.setdefault((header, source), ctypes.CDLL(str(folder / "npred.so")))
+    return COMPILED.setdefault((header, source, more), ctypes.CDLL(str(folder / "npred.so")))
 
 
 class InC:

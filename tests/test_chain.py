@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import process_environment, without_drawings
+from conftest import process_environment
 from typer.testing import CliRunner, Result
 
 from npred.cli import app
@@ -79,7 +79,7 @@ def command(store: str, *more: str) -> list[str]:
 
 def here(folder: Path, *arguments: str) -> Result:
     """A command in this process, in a folder; what runs as a process of its own draws its report."""
-    with contextlib.chdir(folder), without_drawings():
+    with contextlib.chdir(folder):
         return CliRunner().invoke(app, [*arguments])
 
 

@@ -30,6 +30,7 @@ from npred.loop.timing import ControlClock
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import load
 
+pytestmark = pytest.mark.usefixtures("quickly_compiled")
 ROOT = HERE.parent
 GENERATED = {"commands.md", "configuration.md", "named_plants.md", "results.md"}
 PAGES = [
@@ -125,11 +126,15 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("page", marked([page for page in pages_with("python", "sh") if needs_networks(*page.values)]))
-def test_a_page_runs_from_top_to_bottom(page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_runs_from_top_to_bottom(
+    page: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+):
     pytest.importorskip("onnxruntime")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NPRED_STORE", str(store))
     monkeypatch.setattr("npred.cli.report.FORMATS", ("svg",))  # the others: tests/report/test_figures.py
+    if page.name == "report.md":
+        request.getfixturevalue("drawn")
     for name in ("paper", "smoke"):
         write(tmp_path / "pipeline" / f"{name}.toml", SMOKE | {"name": name})
     call("npred train pipeline/paper.toml -q")

@@ -72,12 +72,26 @@ def modules() -> list[str]:
     return [name for name in names if not name.startswith((*torch, "npred.exports.onnx", "npred.lab.stages.certify"))]
 
 
-@pytest.mark.parametrize("words", READ)
-def test_a_console_of_windows_shows_what_is_printed(words, tmp_path):
-    store = ["--store", str(tmp_path / "store")] if words == "ls" else []
-    done = npred(*words.split(), *store, folder=tmp_path, PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
-    assert b"Traceback" not in done.stderr and b"UnicodeEncodeError" not in done.stderr
-    done.stdout.decode("cp1252")
+def test_a_console_of_windows_shows_what_is_printed(tmp_path):
+    """By commands of one process: each as a process of its own would import the same for a second."""
+    program = f"""
+import as_on_windows, os, sys
+as_on_windows.forget()
+os.environ["NPRED_STORE"] = "store"
+from npred.__main__ import main
+for words in {READ!r}:
+    sys.argv = ["npred", *words.split()]
+    print(">", words, flush=True)
+    try:
+        main()
+    except SystemExit:
+        pass
+"""
+    environment = process_environment(PYTHONIOENCODING="cp1252", PYTHONUTF8="0")
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, env=environment, capture_output=True)
+    assert done.returncode == 0 and b"Traceback" not in done.stderr and b"UnicodeEncodeError" not in done.stderr
+    shown = done.stdout.decode("cp1252")
+    assert [words for words in READ if f"> {words}" not in shown] == []
 
 
 def test_what_windows_lacks_is_taken_away():

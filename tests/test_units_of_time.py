@@ -3,21 +3,18 @@
 Each is rewritten mechanically: f is divided by the factor, times are multiplied by it, and nothing else is changed.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 import pytest
 
 import npred
 from npred import diagnosis, plants
 from npred.base.errors import ConfigError
-from npred.kernels import compiler
 from npred.lab import config
 from npred.loop import control_step, hold
 from npred.plants import speed
 from npred.prediction.delays import problem_of
 
+pytestmark = pytest.mark.usefixtures("quickly_compiled")
 UNITS = {"ms": 1000.0, "h": 1 / 3600}  # of them in a second
 PUSH = {"disturbance": {"amplitude": 0.1}}
 QUICK = ("activator_repressor", "scalar", "van_der_pol", "transport_tank")
@@ -62,14 +59,6 @@ def rewritten(plant, unit, kappa=""):
     return plants.resolve(type(old.__name__, (old,), parts), plant.parameters, kappa), factor
 
 
-@contextmanager
-def quickly_compiled() -> Iterator[None]:
-    """Less optimised: for a plant that no other test has, whose numbers are compared with those of a shipped one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiler, "FLAGS", tuple("-O1" if flag == "-O3" else flag for flag in compiler.FLAGS))
-        yield
-
-
 def same(one, other, factor, plant):
     """X and U of two runs, and D_hat by the factor: 1e-9 of what the loop's states and inputs reach."""
     for name, scale in (("X", 1.0), ("U", 1.0), ("D_hat", factor)):
@@ -96,9 +85,8 @@ def test_a_shipped_plant_with_the_observer_of_the_delay(name, unit):
     observed = problem_of(plant).refusal("observer") is None and not plant.declares_delay
     law = npred.DelayObserver() if observed else None
     one, reference = run(plant, 1.0, law, actuator="history"), speed.of_reference(plant)
-    with quickly_compiled():
-        same(one, run(other, factor, law, actuator="history"), factor, plant)
-        assert speed.of_reference(other) * factor == pytest.approx(reference, rel=1e-5)
+    same(one, run(other, factor, law, actuator="history"), factor, plant)
+    assert speed.of_reference(other) * factor == pytest.approx(reference, rel=1e-5)
 
 
 @pytest.mark.parametrize("unit", UNITS)
@@ -115,8 +103,7 @@ def test_the_laws_and_the_filter_with_their_defaults(law, loop, unit):
     plant = npred.plant(Series)
     other, factor = rewritten(plant, unit)
     one = run(plant, 1.0, law, **loop)
-    with quickly_compiled():
-        same(one, run(other, factor, law, **loop), factor, plant)
+    same(one, run(other, factor, law, **loop), factor, plant)
 
 
 @pytest.mark.parametrize("unit", UNITS)
@@ -132,8 +119,7 @@ def test_an_observer_of_the_state_and_a_watchdog(unit):
         )  # fmt: skip
 
     one = clocked(plant, 1.0)
-    with quickly_compiled():
-        two = clocked(other, factor)
+    two = clocked(other, factor)
     same(one, two, factor, plant)
     assert one.clock.handed_over.any() and not one.clock.handed_over.all()
 
@@ -155,8 +141,7 @@ def test_the_check_gives_the_same_answers_in_the_unit(name, unit):
     other, factor = rewritten(plant, unit)
     D = None if plant.declares_delay or plant.delays else 0.5
     answers = [diagnosis.check(plant, D, samples=64)]
-    with quickly_compiled():
-        answers.append(diagnosis.check(other, D and factor * D, samples=64))
+    answers.append(diagnosis.check(other, D and factor * D, samples=64))
     assert [a[:2] for a in answers[0]] == [a[:2] for a in answers[1]]
     assert f" {unit}" in " ".join(answer.text for answer in answers[1])
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,6 +61,40 @@ def script(trained: Path) -> Callable[[str], list[str]]:
         return done.stdout.splitlines()
 
     return call
+
+
+SEVERAL = """
+import contextlib, io, json, without_extras
+from typer.testing import CliRunner
+from npred.cli import app
+answers = []
+for words in {commands!r}:
+    done = CliRunner().invoke(app, words)
+    answers.append([done.exit_code, done.stdout, done.stderr])
+for text in {programs!r}:
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(text, {{}})
+    answers.append(printed.getvalue().splitlines())
+print(json.dumps(answers))
+"""
+
+
+@pytest.fixture(scope="module")
+def answers(trained: Path) -> dict[Any, Any]:
+    """What the commands in NO_NETWORK, NEED and EXPORTS answer without the packages, and the programs of REFUSED: one
+    process for all, for each imports NumPy and more.
+    """
+    asked = [words for words, _ in NEED] + NO_NETWORK + [export(*each) for each in EXPORTS]
+    asked = [[*words, *(["--store", "store"] if words[-1] != "--help" else [])] for words in asked]
+    programs = [f"import npred, npred.base.registry\n{refused(text)}" for text, _ in REFUSED]
+    done = run("-c", SEVERAL.format(commands=asked, programs=programs), folder=trained)
+    assert done.returncode == 0, done.stderr
+    keys = [*(" ".join(words).removesuffix(" --store store") for words in asked), *(text for text, _ in REFUSED)]
+    return dict(zip(keys, json.loads(done.stdout.splitlines()[-1]), strict=True))
+
+
+def export(form: str, model: str) -> list[str]:
+    return ["export", form, f"p.toml:{model}", "-o", f"{form}-{model}"]
 
 
 def refused(text: str) -> str:
@@ -121,32 +156,33 @@ def test_a_network_without_a_fused_form_needs_torch(script, tmp_path):
     assert line == f"5 network {EVERY[3].architecture}: expected the package torch, found none; {TRAIN}"
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+REFUSED = [
         (f"{LOAD}, runtime='torch')", f"runtime torch: expected the package torch, {TRAIN}"),
         (f"{LOAD}, runtime='onnx')", "runtime onnx: expected the package torch, npred[onnx]"),
         (f"{LOAD}, device='cuda')", f"device: expected the package torch, {TRAIN}"),
         ("npred.base.registry.NETWORKS.load('network', 'fno')", f"network fno: expected the package torch, {TRAIN}"),
         ("npred.simulate(npred.plant('scalar'), None, D=1.0, D_hat=1.0, X0=[1.0], t_end=0.1, dt=0.01, adaptation=None)"
          ".to_dataframe()", "to_dataframe: expected the package pandas, pip install pandas"),
-    ],
-)  # fmt: skip
-def test_in_python_what_needs_a_package_says_so(script, text, words):
-    (line,) = script(f"import npred.base.registry\n{refused(text)}")
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "words"), REFUSED)
+def test_in_python_what_needs_a_package_says_so(answers, text, words):
+    (line,) = answers[text]
     expected, cure = words.split(", ")
     assert line.startswith(f"5 {expected}, found none; ") and cure in line
 
 
-@pytest.mark.parametrize(
-    "words",
-    [["--help"], ["plants"], ["ls"], ["doctor"], ["status", "p.toml"], ["show", "train"], ["train", "p.toml"],
-     ["why", "train", "p.toml"], ["train", "p.toml", "--dry-run", "--set", "seed=1"]],
-    ids=" ".join,
-)  # fmt: skip
-def test_commands_that_need_no_network(command, words):
-    done = command(*words)
-    assert done.returncode == 0 and "error" not in done.stderr, done.stderr
+NO_NETWORK = [
+     ["--help"], ["plants"], ["ls"], ["doctor"], ["status", "p.toml"], ["show", "train"], ["train", "p.toml"],
+     ["why", "train", "p.toml"], ["train", "p.toml", "--dry-run", "--set", "seed=1"],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", NO_NETWORK, ids=" ".join)
+def test_commands_that_need_no_network(answers, words):
+    code, _, said = answers[" ".join(words)]
+    assert code == 0 and "error" not in said, said
 
 
 def test_to_train_takes_the_extra_and_is_refused_before_anything_runs(command, trained):
@@ -164,27 +200,27 @@ def test_to_train_takes_the_extra_and_is_refused_before_anything_runs(command, t
     ]
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (
-            ["export", "onnx", "p.toml:fno"],
-            "export onnx: expected the package torch, found none; pip install 'npred[onnx]'",
-        ),
-        (["evaluate", "p.toml", "--device", "cuda"], f"--device: expected the package torch, found none; {TRAIN}"),
-    ],
-)
-def test_commands_that_need_a_package_say_so(command, words, line):
-    done = command(*words)
-    assert (done.returncode, done.stderr.splitlines()[-1]) == (5, f"error: {line}")
-    assert "Traceback" not in done.stderr
+NEED = [
+    (
+        ["export", "onnx", "p.toml:fno"],
+        "export onnx: expected the package torch, found none; pip install 'npred[onnx]'",
+    ),
+    (["evaluate", "p.toml", "--device", "cuda"], f"--device: expected the package torch, found none; {TRAIN}"),
+]
+EXPORTS = [(form, model) for form in ("controller", "fmu", "c") for model in MODELS]
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("form", ["controller", "fmu", "c"])
-def test_exports(command, trained, form, model):
-    done = command("export", form, f"p.toml:{model}", "-o", f"{form}-{model}")
-    assert done.returncode == 0, done.stderr
+@pytest.mark.parametrize(("words", "line"), NEED)
+def test_commands_that_need_a_package_say_so(answers, words, line):
+    code, _, said = answers[" ".join(words)]
+    assert (code, said.splitlines()[-1]) == (5, f"error: {line}")
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(("form", "model"), EXPORTS)
+def test_exports(answers, trained, form, model):
+    code, _, said = answers[" ".join(export(form, model))]
+    assert code == 0, said
     assert (trained / f"{form}-{model}").exists()
 
 

@@ -15,6 +15,7 @@ LEVEL = 3.84  # chi² with one degree of freedom at 95 %
 FAR = 30.0  # above the least cost a profile may end
 EQUAL = 3  # places where all coordinates are equal, from which each is searched by itself
 GROWTH = 1.5
+FALL = 1e-3  # of a cost, below which it is one more iteration of a fit, and no better place: descents walked in circles
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def descend(
                     continue
                 new = at(there, fit)
                 rise = new.cost - fit.cost
-                if rise < 0:
+                if rise < -FALL:
                     z, fit, moved = there, new, True
                     break
                 if np.isfinite(rise) and rise > 0.05:

@@ -16,7 +16,7 @@ from npred.base.errors import ConfigError, DivergedError
 from npred.exports import c_controller
 from npred.plants import Plant
 
-pytestmark = needs_gcc
+pytestmark = [needs_gcc, pytest.mark.usefixtures("quickly_compiled")]
 DT = 0.01
 PAPER, UNICYCLE = npred.plant("activator_repressor"), npred.plant("unicycle")
 CHEMOSTAT, CART = npred.plant("chemostat"), npred.plant("cart_pole")

@@ -7,7 +7,8 @@ import subprocess
 
 import numpy as np
 import pytest
-from c_controllers import FLAGS, InC, library, needs_gcc
+from c_controllers import InC, library, needs_gcc
+from conftest import QUICK
 from self_tested import TWELVE
 
 import npred
@@ -18,11 +19,6 @@ from npred.loop.safety import filter as safety
 from npred.plants import Plant
 
 pytestmark = needs_gcc
-SIZE = """
-#include "npred.h"
-typedef char as_told[sizeof(npred_controller) == %s && sizeof(npred_saved) == %s ? 1 : -1];
-"""
-FRAME = ["-Wframe-larger-than=4096", "-Werror"]
 
 
 def joints(count):
@@ -48,6 +44,7 @@ def of_joints(count, delay):
     )
 
 
+FRAME = ("-Wframe-larger-than=4096", "-Werror", "-fno-semantic-interposition")  # which inlines as a program does
 MADE = {
     name: TWELVE[name][0] for name in ("plain", "EKF", "guard", "filter", "declared", "law", "observer of the delay")
 }
@@ -60,12 +57,11 @@ def test_no_function_of_an_export_has_a_frame_above_4_kb_and_its_header_tells_it
     tmp_path, monkeypatch, name, precision
 ):
     monkeypatch.setattr(c_controller, "_test", lambda *of: "")  # of twelve joints it takes minutes
-    for file, text in zip(("npred.h", "npred.c"), c_controller.sources(MADE[name](), precision=precision), strict=True):
-        (tmp_path / file).write_text(text)
-    subprocess.run(["gcc", *FLAGS, *FRAME, "-c", "npred.c"], cwd=tmp_path, check=True, timeout=300)
+    if "joints" in name:
+        monkeypatch.setattr(compiler, "FLAGS", QUICK)
+    compiled = library(MADE[name](), tmp_path, precision, FRAME)
     told = re.findall(r"takes (\d+) bytes of memory, of which its state is (\d+)", (tmp_path / "npred.h").read_text())
-    (tmp_path / "size.c").write_text(SIZE % told[0])
-    subprocess.run(["gcc", *FLAGS, "-c", "size.c"], cwd=tmp_path, check=True, timeout=300)
+    assert told == [(str(compiled.size_of_controller()), str(compiled.size_of_saved()))]
 
 
 @pytest.mark.parametrize("count", [1, 7])
@@ -77,8 +73,9 @@ def test_nor_has_the_filter_where_loops_are_simulated(tmp_path, count):
 @pytest.mark.parametrize("count", [7, 12])
 def test_an_arm_of_many_joints_stops_in_python_and_in_c(tmp_path, monkeypatch, count):
     monkeypatch.setattr(c_controller, "_test", lambda *of: "")
+    monkeypatch.setattr(compiler, "FLAGS", QUICK)
     controller = of_joints(count, 0.02)
-    in_c, X = InC(library(controller, tmp_path), controller.plant), np.zeros(2 * count)
+    in_c, X = InC(library(controller, tmp_path, more=FRAME), controller.plant), np.zeros(2 * count)
     X[:count], X[count:] = 0.6, 0.7
     for _ in range(3):
         np.testing.assert_array_equal(in_c.step(X), controller.step(X))

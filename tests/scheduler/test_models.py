@@ -40,7 +40,8 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name, kind in {"averaging": "AveragingNetwork", "gru": "GRUNetwork"}.items():
         train[name] = {"network": f"{HERE.parent}/pipeline/{name}.py:{kind}", "epochs": 1, "sizes": {"width": 4}}
     path = tmp_path / "own.toml"
-    path.write_text(dumps({"plant": "activator_repressor"} | SMALL | {"train": train}))
+    short = SMALL["evaluate"] | {"t_end": 2.0, "case_t_end": 3.0}
+    path.write_text(dumps({"plant": "activator_repressor"} | SMALL | {"train": train, "evaluate": short}))
     return path
 
 

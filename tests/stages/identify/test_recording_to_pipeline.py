@@ -69,8 +69,8 @@ def known(answered: Path, folder: Path) -> Path:
 
 
 @pytest.fixture
-def undrawn(undrawn: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor are figures drawn as files: a test without it draws the same ones."""
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No figures are drawn as files: a test without it draws the same ones."""
     monkeypatch.setattr(stage, "write", lambda figure, folder: None)
 
 
@@ -78,7 +78,7 @@ def call(*arguments: str) -> Result:
     return CliRunner().invoke(app, ["identify", *arguments])
 
 
-@pytest.mark.usefixtures("known")
+@pytest.mark.usefixtures("known", "drawn")
 def test_a_recording_gives_the_delay_the_parameters_a_page_and_a_pipeline(folder: Path):
     done = call("log.csv", *FLAGS, "--json")
     assert done.exit_code == 0, done.output

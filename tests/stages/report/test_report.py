@@ -33,6 +33,7 @@ from npred.lab.stages.report.report import PipelineResults, sentences
 from npred.plants.builtin.activator_repressor import ActivatorRepressor
 from npred.plants.notation import markup
 
+pytestmark = pytest.mark.usefixtures("drawn")
 LIMIT = 1_500_000  # bytes
 LOADED = ("src", "srcset", "data", "poster", "action", "formaction", "background")
 VOID = {"meta", "link", "input", "br", "img", "hr"}
