@@ -20,9 +20,17 @@ class Mass:
     safe = lambda x, t, p, M: [5.5 - x.x]
 
 
+class Led(Mass):
+    """One that follows a reference which goes beyond the wall, and never ends."""
+
+    reference = lambda t, p, M: [6.0 * M.sin(0.3 * t), 1.8 * M.cos(0.3 * t)]
+    kappa = lambda x, t, p, M: [-9.0 * (x.x - 6.0 * M.sin(0.3 * t)) - 6.0 * (x.v - 1.8 * M.cos(0.3 * t))]
+
+
+@pytest.mark.parametrize("declaration", [Mass, Led])
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_a_far_wall_is_kept_as_promised(tmp_path, precision):
-    plant, dt, late = Plant("mass", Mass), 0.02, 15
+def test_a_far_wall_is_kept_as_promised(tmp_path, precision, declaration):
+    plant, dt, late = Plant("mass", declaration), 0.02, 15
     python = npred.controller(
         plant, npred.predictor(plant, "rk4", 31), None, dt, D_hat=late * dt, actuator="history", u0=[0.0],
         safety=npred.SafetyFilter(),
@@ -38,4 +46,5 @@ def test_a_far_wall_is_kept_as_promised(tmp_path, precision):
         sent.append(float(U[0]))
         u = sent[k]
         x, least = np.array([x[0] + dt * x[1] + dt**2 / 2 * u, x[1] + dt * u]), min(least, 5.5 - x[0])
-    assert all(promises) and least > 0 and x == pytest.approx([5.0, 0.0], abs=0.02)
+    assert all(promises) and 0 < least < 0.6
+    assert declaration is Led or x == pytest.approx([5.0, 0.0], abs=0.02)

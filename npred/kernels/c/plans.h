@@ -1,6 +1,7 @@
 /* Rollouts of the loop under plans, side by side. A plan is U = clip(clip(kappa(x, t) + w) + v): w is constant, v in
  * each of BLOCKS, and the last block lasts. The grid of time has STEPS steps; the steps beyond it are as long as the
- * loop allows. kappa is constant over each of the first HELD steps, and continuous on the longer ones that follow. */
+ * loop allows. kappa is constant over each of the first HELD steps, and continuous on the longer ones that follow. Its
+ * time ends when the plan `lasts` no more: a law that tracks so comes to a rest. */
 #define LOOPS (WIDE > 1 ? MANY : 1) /* loops whose law is rolled out side by side; of plans it is MANY */
 #define SIDED (SIDE + ENDS - 1) /* rollouts of a plan: from each end, and from the first with each variable moved */
 #define ABREAST (SIDED > ENDS * MANY ? SIDED : ENDS * MANY)
@@ -10,8 +11,8 @@
 #define DIP 5e-3           /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
 #define OVERFLOWN -1e6     /* sizes of h: the room of a rollout that is not finite */
 #define BOX(s, c) (1e6 * (s)[c]) /* the width of the box; s has what a predicted state may err by */
-enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K, LENGTHS = AHEAD + MANY,
-       DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
+enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, LASTS, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K,
+       LENGTHS = AHEAD + MANY, DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
 #define POINTS (2 * N + 1) /* a point and two beside it in each direction */
 
@@ -29,13 +30,13 @@ typedef struct {
 } Plan;
 
 /* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised,
- * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and
- * the next state. */
+ * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, when the time of its kappa ends,
+ * its w, its parameters, and the next state. */
 typedef struct {
     Plan last;
     double promised, withdrawn;
     Plan kept;
-    double w[M], p[PARAMETERS + 1], next[N];
+    double until, w[M], p[PARAMETERS + 1], next[N];
 } Memory;
 #define REMEMBERED (sizeof(Memory) / sizeof(double))
 
@@ -53,7 +54,7 @@ typedef struct {
     double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
-    double ends[N * ENDS], moments[ENDS], now[M], elapsed; /* of the loop that is planned for: its ends, and U */
+    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts; /* of the loop that is planned for: its ends, and U */
     Plan plan;
     Memory memory;
     union {
@@ -221,7 +222,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
         if (i > 0 && (i < HELD || side || ranged)) {
             LANES for (int l = 0; l < count; l++) {
                 if (!IDLE(l) && (WIDE > 1 || i < HELD || l == 0 || l >= side)) { /* or its U is not read */
-                    LAW(count, r->x + l, r->t[l] + elapsed, p, r->U + l);
+                    LAW(count, r->x + l, r->t[l] + smaller(elapsed, r->lasts), p, r->U + l);
                 }
             }
             for (int a = 0; a < M * count; a++) {
@@ -251,7 +252,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
                     continue;
                 }
                 ALONG(count, r->x + l, r->w + l, v + l, r->rate + l, low, high, 0.5 * s[STEP_LENGTH],
-                      r->t[l] + elapsed, length, p, y + l, middle + l);
+                      r->t[l] + r->lasts, r->t[l] + elapsed, length, p, y + l, middle + l);
             }
         }
         LANES for (int l = 0; l < count; l++) {

@@ -69,6 +69,7 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
                                  const double *U, double *room, double *kept, int *rests, Rollouts *r)
 {
     const int count = ENDS * loops;
+    r->lasts = s[LASTS];
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
         r->v[a] = 0.0;
@@ -117,6 +118,7 @@ static inline void PART(_keep)(const double *w, const double *p, Rollouts *r)
 {
     Memory *const memory = &r->memory;
     memory->promised = 1.0;
+    memory->until = r->moments[0] + r->lasts;
     memory->kept = r->plan;
     for (int c = 0; c < M; c++) {
         memory->w[c] = w ? w[c] : 0.0;
@@ -179,7 +181,7 @@ static inline void PART(_holding)(const double *x, double t, const double *p, co
 
 /* Whether a brake keeps the limits, after U over one control step or, with `at_once`, from now on; it is kept, and
  * U is its first one. Brakes are kappa + w that hold, in place of the state, the one that it comes to in the times
- * AHEAD at its present rate; the first one is kappa itself. */
+ * AHEAD at its present rate; the first one is kappa itself. Where kappa tracks, its time ends after U. */
 static APART int PART(_brakes)(int at_once, const double *p, const double *s, const double *low, const double *high,
                                double *U, Rollouts *r)
 {
@@ -191,6 +193,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     }
     PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->shared.ball);
     LAW(1, r->ends, r->moments[0], p, law);
+    r->lasts = s[LASTS] > s[LATER] ? s[LASTS] : s[STEP_LENGTH];
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
         r->v[a] = 0.0;
@@ -256,7 +259,8 @@ static APART int PART(_goes_on)(const double *s, const double *low, const double
     double law[M], holds;
     int follows = before.promised >= 1.0;
     PART(_go_on)(s, &before.kept, &r->plan);
-    LAW(1, r->ends, r->moments[0], before.p, law);
+    LAW(1, r->ends, smaller(r->moments[0], before.until), before.p, law);
+    r->lasts = before.until - r->moments[0];
     for (int c = 0; c < M; c++) {
         law[c] += before.w[c];
     }
@@ -280,6 +284,7 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
 {
     const int acts = room < 0.0, had = r->memory.promised > 0.0;
     double found = 0.0, other[M];
+    r->lasts = s[LASTS];
     if (rests) {
         PART(_new)(s, &r->plan);
         PART(_keep)(NULL, p, r);
