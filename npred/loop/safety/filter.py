@@ -29,8 +29,9 @@ SHARE = 0.5  # of dt: what a step of the filter may take
 TINY = 1e-6  # a rate that is none
 MANY, AHEAD = (
     8,
-    (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0),
+    (0.0, 0.0, 3.0, -1.0, -2.0, -8.0, -8.0, -8.0),
 )  # brakes, and how far ahead they rest, over the slowest rate
+TURNING = 2  # the last ones, which brake until they are slow, then hold that or let kappa go on
 FOREVER = 1e9  # horizons, in which no plan ends
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
 LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
@@ -52,7 +53,7 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     timed, moves = (programs.depends([*values], [t]) for values in (of.trace.safe(x, t), of.trace.f(x, u, t)))
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
-    sizes |= {"MANY": MANY, "TAIL": TAIL, "PARTS": PARTS}
+    sizes |= {"MANY": MANY, "TURNING": TURNING, "TAIL": TAIL, "PARTS": PARTS}
     sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
     sizes |= {"MOVES": int(timed or moves)}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
@@ -109,7 +110,7 @@ def scratch(plant: Plant, ends: int) -> int:
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side, points = conditions(plant), variables + 1, 2 * n + 1
     lanes = max(side + ends - 1, ends * MANY)
-    abreast = lanes * (4 * n + 3 * m + 6 * K + variables + 4)
+    abreast = lanes * (4 * n + 4 * m + 6 * K + variables + 6)
     ball = points * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
     solved = 2 * rows + 4 * variables**2 + 7 * variables + 2
     planned = abreast + rows * side + 7 * variables + BLOCKS + 3
@@ -123,7 +124,7 @@ def conditions(plant: Plant) -> int:
 
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
-    return 2 * BLOCKS * (plant.m + 1) + plant.m + plant.n + len(plant.p_names) + 4
+    return 2 * BLOCKS * (plant.m + 1) + 2 * plant.m + plant.n + len(plant.p_names) + 5
 
 
 def operations(plant: Plant, ends: int) -> int:
