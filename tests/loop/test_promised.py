@@ -68,9 +68,11 @@ def test_a_door_that_closes_in_time_is_passed_or_not_as_promised():
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.floats(-1.0, 5.4), st.floats(-3.0, 3.0))
+@given(st.floats(-1.0, 5.4), st.floats(-6.0, 3.0))
 def test_a_mass_is_promised_if_a_brake_stops_it_and_not_if_none_does(x, v):
-    """A brake of |u| <= 1 stops v > 0 after v²/2, and the first step is over before it begins."""
+    """A brake of |u| <= 1 stops v > 0 after v²/2, and the first step is over before it begins. One of kappa and a
+    constant swings for long after v < -4.
+    """
     left = 5.5 - x - max(v, 0.0) ** 2 / 2
     _, promised = filtered(mass(5.0, 5.5), (x, v))
     if left < 0:
@@ -96,20 +98,28 @@ def test_a_promise_ends_where_the_plant_is_pushed_and_that_is_counted():
     assert twin.status.promised and twin.status.withdrawn == 0
 
 
-def test_a_loop_that_tracks_is_not_promised_and_one_whose_reference_ends_is():
-    def following(along):
-        class Led:
-            states, inputs = ("x",), ("u",)
-            box, input_bounds = {"x": (-1.0, 1.0)}, ((-3.0, 3.0),)
-            f = lambda x, u, t, p, M: [u.u - x.x]
-            kappa = lambda x, t, p, M: [along(t, M) - 2.0 * (x.x - along(t, M))]
-            reference = lambda t, p, M: [along(t, M)]
-            safe = lambda x, t, p, M: [2.0 - x.x]
+def following(along, pushed=lambda t, M: 0.0):
+    class Led:
+        states, inputs = ("x",), ("u",)
+        box, input_bounds = {"x": (-1.0, 1.0)}, ((-3.0, 3.0),)
+        f = lambda x, u, t, p, M: [u.u - x.x + pushed(t, M)]
+        kappa = lambda x, t, p, M: [along(t, M) - 2.0 * (x.x - along(t, M))]
+        reference = lambda t, p, M: [along(t, M)]
+        safe = lambda x, t, p, M: [2.0 - x.x]
 
-        return Plant("led", Led)
+    return Plant("led", Led)
 
-    assert not filtered(following(lambda t, M: M.sin(t)), [0.0])[1]
+
+def test_a_loop_whose_reference_never_ends_is_promised_unless_the_plant_moves_with_time():
     assert filtered(following(lambda t, M: M.minimum(M.maximum(t, 0.0), 0.5)), [0.0])[1]
+    assert filtered(following(lambda t, M: M.sin(t)), [0.0])[1]
+    assert not filtered(following(lambda t, M: M.sin(t), lambda t, M: 0.1 * M.sin(t)), [0.0])[1]
+
+
+def test_a_reference_that_comes_and_goes_beyond_a_limit_is_followed_up_to_it():
+    run = loop(following(lambda t, M: 2.5 * M.sin(t)), [0.0], t_end=13.0)
+    assert run.promised.all() and 0 < run.safety.min() < 0.05
+    assert run.X[run.t > 9.0].min() < -1.9  # it goes on with the reference once that is back
 
 
 def test_where_nothing_is_promised_or_a_step_is_long_that_is_said_before_the_first_command():

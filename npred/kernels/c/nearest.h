@@ -4,7 +4,7 @@
  * of Lawson and Hanson (Solving Least Squares Problems, 1974, ch. 23), with rows of the length 1. With soft_i > 0 a
  * condition may be missed, by soft_i λ_i: where no point keeps all, their squares weighed by 1 / soft_i are least.
  * Where one does, those soft_i λ_i are small; they are solved for once more, which leaves about soft_i² λ_i. */
-#define PRECISE(double_precision, single) (sizeof(double) > 4 ? (double_precision) : (single)) /* an export may have floats */
+#define PRECISE(precise, single) (sizeof(double) > 4 ? (precise) : (single)) /* an export may have floats */
 #define ROOM PRECISE(1e-6, 1e-4) /* of soft_i λ_i: above it no point keeps all */
 #define SOFT PRECISE(1e-9, 1e-5)   /* of conditions on states, whose rows have the length 1 */
 #define BOUND PRECISE(1e-13, 1e-6) /* of those on v itself */

@@ -1,17 +1,19 @@
 /* Rollouts of the loop under plans, side by side. A plan is U = clip(clip(kappa(x, t) + w) + v): w is constant, v in
  * each of BLOCKS, and the last block lasts. The grid of time has STEPS steps; the steps beyond it are as long as the
- * loop allows. kappa is constant over each of the first HELD steps, and continuous on the longer ones that follow. */
+ * loop allows. kappa is constant over each of the first HELD steps, and continuous on the longer ones that follow. Its
+ * time ends when the plan `lasts` no more: a law that tracks so comes to a rest. */
 #define LOOPS (WIDE > 1 ? MANY : 1) /* loops whose law is rolled out side by side; of plans it is MANY */
 #define SIDED (SIDE + ENDS - 1) /* rollouts of a plan: from each end, and from the first with each variable moved */
 #define ABREAST (SIDED > ENDS * MANY ? SIDED : ENDS * MANY)
 #define AT(side, e) ((e) > 0 ? (side) - 1 + (e) : 0) /* the lane of a plan from an end */
 #define TIGHT 2e-3
 #define LATER_BREACH 5e-4
-#define DIP 5e-3           /* of the size of h: without alpha, kappa may break a broken limit by this and a tenth more */
+#define DIP 5e-3           /* of the size of h: without alpha kappa may break a broken limit by this, a tenth more */
 #define OVERFLOWN -1e6     /* sizes of h: the room of a rollout that is not finite */
+#define NEVER 1e30         /* a time */
 #define BOX(s, c) (1e6 * (s)[c]) /* the width of the box; s has what a predicted state may err by */
-enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K, LENGTHS = AHEAD + MANY,
-       DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
+enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, LASTS, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K,
+       LENGTHS = AHEAD + MANY, DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
 #define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
 #define POINTS (2 * N + 1) /* a point and two beside it in each direction */
 
@@ -29,13 +31,13 @@ typedef struct {
 } Plan;
 
 /* What a loop remembers: the plan that its next search begins with, and the one that is kept: 1 if it is promised,
- * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, its w, its parameters, and
- * the next state. */
+ * 0.5 if it only has room, 0 if there is none; how often a promise ended; its blocks, when the time of its kappa ends,
+ * when its w becomes the later one, both w, its parameters, and the next state. */
 typedef struct {
     Plan last;
     double promised, withdrawn;
     Plan kept;
-    double w[M], p[PARAMETERS + 1], next[N];
+    double until, turn, w[M], later[M], p[PARAMETERS + 1], next[N];
 } Memory;
 #define REMEMBERED (sizeof(Memory) / sizeof(double))
 
@@ -43,17 +45,18 @@ typedef struct {
  * lie in the scratch memory of the kernel: they are too large for the stack. */
 typedef struct {
     double x[N * ABREAST], t[ABREAST], U[M * ABREAST], v[VARIABLES * ABREAST], w[M * ABREAST];
+    double turn[ABREAST], later[M * ABREAST], speed[ABREAST]; /* when w becomes the later one; the last speed */
     double below[K * ABREAST], spent[K * ABREAST]; /* how far h is below the margin at `ends`, and below the reserve */
     double rate[N * ABREAST];                      /* rates of the states in the last step */
     double y[N * ABREAST], middle[N * ABREAST], added[M * ABREAST];        /* the end and the middle of a step, its v */
     double h[K * ABREAST], before[K * ABREAST], between[K * ABREAST];      /* h there, before it and in its middle */
     double other[TIMED * K * ABREAST + 1];
-    double least[ABREAST], strict[ABREAST]; /* of rollouts without rows the smallest room so far, and without a reserve */
+    double least[ABREAST], strict[ABREAST]; /* of rollouts without rows the smallest room, and without a reserve */
     int idle[ABREAST]; /* lanes that need not go on: they are as the first of their end, or of no use */
     double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
-    double ends[N * ENDS], moments[ENDS], now[M], elapsed; /* of the loop that is planned for: its ends, and U */
+    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts; /* of the loop that is planned for: its ends, and U */
     Plan plan;
     Memory memory;
     union {
@@ -182,6 +185,26 @@ static INLINED int PART(_left)(const int loops, double room, Rollouts *r)
     return left;
 }
 
+/* Let brakes that wait for it turn when they no longer become slower: to a w that holds them where they are, the last
+ * one to kappa. */
+static INLINED void PART(_turn)(const int count, double elapsed, const double *p, const double *s, Rollouts *r)
+{
+    for (int l = (MANY - TURNING) * ENDS; l < count; l++) {
+        double speed = 0.0;
+        for (int c = 0; c < N; c++) {
+            speed += r->rate[c * count + l] / BOX(s, c) * r->rate[c * count + l] / BOX(s, c);
+        }
+        if (r->turn[l] >= NEVER && speed > r->speed[l]) {
+            LAW(count, r->x + l, r->t[l] + smaller(elapsed, r->lasts), p, r->U + l);
+            for (int c = 0; c < M; c++) {
+                r->later[c * count + l] -= l < count - ENDS ? r->U[c * count + l] : r->later[c * count + l];
+            }
+            r->turn[l] = elapsed;
+        }
+        r->speed[l] = speed;
+    }
+}
+
 /* Roll `count` lanes from step `first` to step `last`: lanes of a plan with `side` for the first end, or, with side
  * = 0, of plans that are only looked at while they have that room. A plan keeps its reserve if it is `reserved`. */
 static INLINED void PART(_roll)(const int count, const int side, int reserved, double room, int first, int last,
@@ -214,6 +237,9 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
         }
         share = block + 1 < BLOCKS ? smaller((r->plan.edges[block] - elapsed) / length, 1.0) : 1.0;
         begun = side ? PART(_begun)(count, side, block + (share < 1.0), r) : 0;
+        for (int a = 0; a < M * count && reserved && !side; a++) {
+            r->w[a] = elapsed + 0.5 * length > r->turn[a % count] ? r->later[a] : r->w[a];
+        }
         for (int a = 0; a < M * count; a++) { /* the mean over the step */
             const double *const now = r->v + block * M * count + a;
             v[a] = share < 1.0 ? share * now[0] + (1.0 - share) * now[M * count] : now[0];
@@ -221,7 +247,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
         if (i > 0 && (i < HELD || side || ranged)) {
             LANES for (int l = 0; l < count; l++) {
                 if (!IDLE(l) && (WIDE > 1 || i < HELD || l == 0 || l >= side)) { /* or its U is not read */
-                    LAW(count, r->x + l, r->t[l] + elapsed, p, r->U + l);
+                    LAW(count, r->x + l, r->t[l] + smaller(elapsed, r->lasts), p, r->U + l);
                 }
             }
             for (int a = 0; a < M * count; a++) {
@@ -251,7 +277,7 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
                     continue;
                 }
                 ALONG(count, r->x + l, r->w + l, v + l, r->rate + l, low, high, 0.5 * s[STEP_LENGTH],
-                      r->t[l] + elapsed, length, p, y + l, middle + l);
+                      r->t[l] + r->lasts, r->t[l] + elapsed, length, p, y + l, middle + l);
             }
         }
         LANES for (int l = 0; l < count; l++) {
@@ -276,6 +302,9 @@ static INLINED void PART(_roll)(const int count, const int side, int reserved, d
             }
             r->rate[a] = (y[a] - r->x[a]) / length;
             r->x[a] = y[a];
+        }
+        if (ENDS == 1 && count == MANY && reserved && !side && i > 0) {
+            PART(_turn)(count, elapsed, p, s, r);
         }
         PART(_rooms)(count, side, begun, reserved, s, i, r);
         if (!side && PART(_left)(count / ENDS, room, r) == 0) {
@@ -338,6 +367,8 @@ static inline void PART(_begin)(int count, int at, int e, const double *p, const
         r->w[c * count + at] = w ? w[c] : 0.0;
     }
     r->t[at] = r->moments[e];
+    r->turn[at] = NEVER;
+    r->speed[at] = INFINITY;
 }
 
 /* A new plan: v = 0 in blocks that grow with time. */

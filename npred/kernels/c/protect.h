@@ -69,6 +69,7 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
                                  const double *U, double *room, double *kept, int *rests, Rollouts *r)
 {
     const int count = ENDS * loops;
+    r->lasts = s[LASTS];
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
         r->v[a] = 0.0;
@@ -112,14 +113,17 @@ static INLINED void PART(_alone)(const int loops, int lanes, int l, const double
     }
 }
 
-/* Remember r->plan, with w and p. */
-static inline void PART(_keep)(const double *w, const double *p, Rollouts *r)
+/* Remember r->plan, with w and p, as lane `at` of `count` has it. */
+static inline void PART(_keep)(const double *w, int at, int count, const double *p, Rollouts *r)
 {
     Memory *const memory = &r->memory;
     memory->promised = 1.0;
+    memory->until = r->moments[0] + r->lasts;
+    memory->turn = w ? r->moments[0] + r->turn[at] : NEVER;
     memory->kept = r->plan;
     for (int c = 0; c < M; c++) {
         memory->w[c] = w ? w[c] : 0.0;
+        memory->later[c] = r->later[c * count + at];
     }
     for (int i = 0; i < PARAMETERS; i++) {
         memory->p[i] = p[i];
@@ -179,7 +183,8 @@ static inline void PART(_holding)(const double *x, double t, const double *p, co
 
 /* Whether a brake keeps the limits, after U over one control step or, with `at_once`, from now on; it is kept, and
  * U is its first one. Brakes are kappa + w that hold, in place of the state, the one that it comes to in the times
- * AHEAD at its present rate; the first one is kappa itself. */
+ * AHEAD at its present rate; the first one is kappa itself. The last TURNING ones brake hard until they are slow, and
+ * then rest there, or go on with kappa. Where kappa tracks, its time ends after U. */
 static APART int PART(_brakes)(int at_once, const double *p, const double *s, const double *low, const double *high,
                                double *U, Rollouts *r)
 {
@@ -191,6 +196,7 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
     }
     PART(_holding)(r->ends, r->moments[0], p, s, low, high, hold, rate, &r->shared.ball);
     LAW(1, r->ends, r->moments[0], p, law);
+    r->lasts = s[LASTS] > s[LATER] ? s[LASTS] : s[STEP_LENGTH];
     PART(_new)(s, &r->plan);
     for (int a = 0; a < VARIABLES * count; a++) {
         r->v[a] = 0.0;
@@ -206,16 +212,19 @@ static APART int PART(_brakes)(int at_once, const double *p, const double *s, co
         }
         for (int e = 0; e < ENDS; e++) {
             PART(_begin)(count, b * ENDS + e, e, p, s, first, w, r);
+            for (int c = 0; c < M; c++) {
+                r->later[c * count + b * ENDS + e] = hold[c];
+            }
         }
     }
     PART(_roll_many)(1, ENOUGH, 0, STEPS, p, s, low, high, r);
     best = PART(_until_rest)(MANY, 1, ENOUGH, p, s, low, high, r);
     for (int c = 0; c < M && best >= 0; c++) {
-        w[c] = r->w[c * count + best * ENDS];
+        w[c] = best < MANY - TURNING ? r->w[c * count + best * ENDS] : w[c];
         U[c] = at_once ? within(law[c] + w[c], low[c], high[c]) : U[c];
     }
     if (best >= 0) {
-        PART(_keep)(w, p, r);
+        PART(_keep)(w, best * ENDS, count, p, r);
     }
     return best >= 0;
 }
@@ -227,12 +236,18 @@ static APART double PART(_holds)(const double *w, double room, const double *p, 
 {
     double least_room;
     PART(_begin_plan)(1, p, s, U, w, r);
+    for (int e = 0; e < ENDS && w; e++) {
+        r->turn[e] = r->memory.turn - r->moments[e];
+        for (int c = 0; c < M; c++) {
+            r->later[c * ENDS + e] = r->memory.later[c];
+        }
+    }
     PART(_roll_one)(1, room, 0, STEPS, p, s, low, high, r);
     least_room = PART(_room)(r, 0);
     if (PART(_until_rest)(1, 1, room, p, s, low, high, r) < 0) {
         return least_room > room ? 0.5 : 0.0;
     }
-    PART(_keep)(w, p, r);
+    PART(_keep)(w, 0, ENDS, p, r);
     return 1.0;
 }
 
@@ -252,11 +267,17 @@ static inline void PART(_first)(const Rollouts *r, const double *s, const double
  * and the state is the one that it led to: what is beyond the grid is known from then. */
 static APART int PART(_goes_on)(const double *s, const double *low, const double *high, double *U, Rollouts *r)
 {
+    const int turned = r->memory.turn < r->moments[0] + 0.5 * s[STEP_LENGTH];
+    for (int c = 0; c < M && turned; c++) {
+        r->memory.w[c] = r->memory.later[c];
+    }
+    r->memory.turn = turned ? NEVER : r->memory.turn;
     const Memory before = r->memory;
     double law[M], holds;
     int follows = before.promised >= 1.0;
     PART(_go_on)(s, &before.kept, &r->plan);
-    LAW(1, r->ends, r->moments[0], before.p, law);
+    LAW(1, r->ends, smaller(r->moments[0], before.until), before.p, law);
+    r->lasts = before.until - r->moments[0];
     for (int c = 0; c < M; c++) {
         law[c] += before.w[c];
     }
@@ -266,7 +287,7 @@ static APART int PART(_goes_on)(const double *s, const double *low, const double
         follows = follows && fabs(r->ends[c] - before.next[c]) <= FOLLOWED * BOX(s, c);
     }
     if (holds > 0.0) {
-        PART(_keep)(before.w, before.p, r);
+        PART(_keep)(before.w, 0, ENDS, before.p, r);
         r->memory.promised = follows ? 1.0 : holds;
     }
     return holds > 0.0;
@@ -280,9 +301,10 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
 {
     const int acts = room < 0.0, had = r->memory.promised > 0.0;
     double found = 0.0, other[M];
+    r->lasts = s[LASTS];
     if (rests) {
         PART(_new)(s, &r->plan);
-        PART(_keep)(NULL, p, r);
+        PART(_keep)(NULL, 0, 1, p, r);
         return found;
     }
     if (acts) {

@@ -9,20 +9,20 @@
  * on the ball is measured at the ends of its axes, of which the root of the sum of squares is the largest change of
  * a linear function, times SURE.
  *
- * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at. A loop that never
- * comes to rest, as one that tracks, is not STILL. */
+ * Where the plant, kappa or a limit depends on time, TIMES moments up to LATER are looked at; kappa does not once its
+ * time has ended. A loop that never comes to rest even so is not STILL. */
 #define DOUBLINGS 24 /* of the number of control steps that S sums over: none more would be a rest */
 #define SURE 1.5
 #define NEARBY PRECISE(1e-4, 1e-2)   /* of the box: for slopes */
 #define TINIEST PRECISE(1e-6, 1e-2) /* radius of a ball */
 #define WIDEST 0.5                  /* the same; where the loop moves with time, more is no rest */
 
-/* F, kappa + w and h at the points of the ball, at time t. */
-static INLINED void PART(_onward)(const int count, double t, const double *p, const double *s, const double *low,
-                                  const double *high, Ball *b)
+/* F, kappa + w and h at the points of the ball, at time t; the time of kappa ends at `until`. */
+static INLINED void PART(_onward)(const int count, double t, double until, const double *p, const double *s,
+                                  const double *low, const double *high, Ball *b)
 {
     LANES for (int l = 0; l < count; l++) {
-        LAW(count, b->x + l, t, p, b->law + l);
+        LAW(count, b->x + l, smaller(t, until), p, b->law + l);
         LIMITS(count, b->x + l, t, p, b->h + l);
     }
     for (int a = 0; a < M * count; a++) {
@@ -178,7 +178,9 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
                               const double *high, Rollouts *r)
 {
     Ball *const b = &r->shared.ball;
-    const double t = r->t[at] + r->elapsed;
+    const double t = r->t[at] + r->elapsed, until = r->t[at] + r->lasts;
+    const int times = MOVES || r->lasts > s[LATER] ? TIMES : 1;
+    const double gap = s[LATER] / (double)most(times - 1, 1);
     double x[N], trace = 0.0, radius = TINIEST, slack;
     for (int c = 0; c < N; c++) {
         x[c] = r->x[c * count + at];
@@ -194,7 +196,7 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
         b->w[c] = r->w[c * count + at];
     }
     PART(_surround)(b, s, x, b->T, NEARBY);
-    PART(_onward)(POINTS, t, p, s, low, high, b);
+    PART(_onward)(POINTS, t, until, p, s, low, high, b);
     for (int a = 0; a < N * N; a++) {
         const double *const y = b->y + a / N * POINTS;
         b->A[a] = (y[1 + a % N] - y[1 + N + a % N]) / (2.0 * NEARBY * BOX(s, a / N));
@@ -206,10 +208,10 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
         trace += b->S[c * N + c];
     }
     slack = 1.0 / (4.0 * trace);
-    for (int i = 0; i < TIMES; i++) {
+    for (int i = 0; i < times; i++) {
         double d[N];
         if (i > 0) {
-            PART(_onward)(1, t + s[LATER] * (double)i / (double)(TIMES - 1), p, s, low, high, b);
+            PART(_onward)(1, t + gap * (double)i, until, p, s, low, high, b);
         }
         for (int c = 0; c < N; c++) {
             d[c] = b->y[i > 0 ? c : c * POINTS] - x[c];
@@ -217,13 +219,13 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
         }
         radius = larger(radius, PART(_distance)(b, s, d) / slack);
     }
-    if (TIMES > 1 && !(radius <= WIDEST)) {
+    if (times > 1 && !(radius <= WIDEST)) {
         return 0;
     }
     PART(_axes)(b);
     PART(_surround)(b, s, x, b->T, radius);
-    for (int i = 0; i < TIMES; i++) {
-        PART(_onward)(POINTS, TIMES > 1 ? t + s[LATER] * (double)i / (double)(TIMES - 1) : t, p, s, low, high, b);
+    for (int i = 0; i < times; i++) {
+        PART(_onward)(POINTS, t + gap * (double)i, until, p, s, low, high, b);
         if (!(PART(_bend)(b, s, radius) <= slack * radius) || !PART(_clips_evenly)(b, low, high)) {
             return 0;
         }

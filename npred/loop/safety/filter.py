@@ -29,8 +29,10 @@ SHARE = 0.5  # of dt: what a step of the filter may take
 TINY = 1e-6  # a rate that is none
 MANY, AHEAD = (
     8,
-    (0.0, 0.0, 1.0, 3.0, -1.0, -2.0, -4.0, -8.0),
+    (0.0, 0.0, 3.0, -1.0, -2.0, -8.0, -8.0, -8.0),
 )  # brakes, and how far ahead they rest, over the slowest rate
+TURNING = 2  # the last ones, which brake until they are slow, then hold that or let kappa go on
+FOREVER = 1e9  # horizons, in which no plan ends
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
 LATE, LATER = 64, 10.0  # moments after a plan at which limits that depend on time are looked at, in so many horizons
 TAIL, PARTS = 192, 6  # steps beyond the grid in which a plan is to rest, and the parts after which it is asked
@@ -47,11 +49,13 @@ def kernel(plant: Plant, ends: int) -> Kernel:
         raise ConfigError(f"safety: {what}; declare fewer limits")
     of, functions = formulas(plant)
     variables, rows = BLOCKS * m, conditions(plant)
-    timed = programs.depends([*of.trace.safe(of.trace.vector("x", n), of.trace.input("t"))], [of.trace.input("t")])
+    x, u, t = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t")
+    timed, moves = (programs.depends([*values], [t]) for values in (of.trace.safe(x, t), of.trace.f(x, u, t)))
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
-    sizes |= {"MANY": MANY, "TAIL": TAIL, "PARTS": PARTS}
+    sizes |= {"MANY": MANY, "TURNING": TURNING, "TAIL": TAIL, "PARTS": PARTS}
     sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
+    sizes |= {"MOVES": int(timed or moves)}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
     return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
 
@@ -64,7 +68,7 @@ def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
     trace = of.trace
     x, u, v, t, h = trace.vector("x", n), trace.vector("u", m), trace.vector("v", m), trace.input("t"), trace.input("h")
     low, high, before, lag = trace.vector("l", m), trace.vector("h", m), trace.vector("r", n), trace.input("lag")
-    w = trace.vector("w", m)
+    until, w = trace.input("until"), trace.vector("w", m)
 
     def within(U: np.ndarray) -> np.ndarray:
         clipped = [tape.M.minimum(tape.M.maximum(a, b), c) for a, b, c in zip(U, low, high, strict=True)]
@@ -72,7 +76,7 @@ def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
 
     def along(x: np.ndarray, before: np.ndarray, t: Value) -> np.ndarray:
         """f with kappa in its bounds, which is held: it is as late as half a control step."""
-        U = within(within(trace.kappa(x - lag * before, t - lag) + w) + v)
+        U = within(within(trace.kappa(x - lag * before, tape.M.minimum(t - lag, until)) + w) + v)
         return trace.f(x, U, t)
 
     def step(rate: Callable[..., np.ndarray]) -> list[Value]:
@@ -94,7 +98,7 @@ def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
         ),
         "ALONG": of.function(
             step(along),
-            [vector("x", n), vector("w", m), vector("v", m), vector("r", n), *bounds, "lag", "t", "h"],
+            [vector("x", n), vector("w", m), vector("v", m), vector("r", n), *bounds, "lag", "until", "t", "h"],
             results,
         ),
     }
@@ -106,10 +110,10 @@ def scratch(plant: Plant, ends: int) -> int:
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side, points = conditions(plant), variables + 1, 2 * n + 1
     lanes = max(side + ends - 1, ends * MANY)
-    abreast = lanes * (4 * n + 3 * m + 6 * K + variables + 4)
+    abreast = lanes * (4 * n + 4 * m + 6 * K + variables + 6)
     ball = points * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
     solved = 2 * rows + 4 * variables**2 + 7 * variables + 2
-    planned = abreast + rows * side + 7 * variables + BLOCKS + 2
+    planned = abreast + rows * side + 7 * variables + BLOCKS + 3
     return planned + max(ball, solved) + ends * (n + 1) + m + remembered(plant)
 
 
@@ -120,7 +124,7 @@ def conditions(plant: Plant) -> int:
 
 def remembered(plant: Plant) -> int:
     """The numbers that a loop remembers: the Memory of npred/kernels/c/plans.h."""
-    return 2 * BLOCKS * (plant.m + 1) + plant.m + plant.n + len(plant.p_names) + 3
+    return 2 * BLOCKS * (plant.m + 1) + 2 * plant.m + plant.n + len(plant.p_names) + 5
 
 
 def operations(plant: Plant, ends: int) -> int:
@@ -213,7 +217,7 @@ def numbers(
             dt,
             longest,
             LATER * ends[-1],
-            still(plant, X, ends[-1]),
+            *still(plant, X, ends[-1]),
             *widths,
             *sizes,
             *ahead,
@@ -225,13 +229,22 @@ def numbers(
     )
 
 
-def still(plant: Plant, X: np.ndarray, horizon: float) -> bool:
-    """Whether the loop no longer depends on time, at the latest after OVER horizons."""
+def still(plant: Plant, X: np.ndarray, horizon: float) -> tuple[bool, float]:
+    """Whether the loop no longer depends on time, at the latest after OVER horizons, and how long the time of kappa has
+    to last for that: a law that tracks is stopped at the horizon.
+    """
+    times, lasts = OVER * horizon * np.linspace(1, 2, LATE), FOREVER * horizon
     if plant.rests:
-        return True
+        return True, lasts
+
+    def ends(moments: np.ndarray) -> bool:
+        F = [np.hstack([plant.f(X, U := plant.kappa(X, s), t), U]) for s, t in zip(moments, times, strict=True)]
+        return bool(np.allclose(F, F[0], rtol=1e-9, atol=1e-9 * np.abs(F[0]).max()))
+
     with np.errstate(all="ignore"):
-        F = [np.hstack([plant.f(X, U := plant.kappa(X, t), t), U]) for t in OVER * horizon * np.linspace(1, 2, LATE)]
-    return bool(np.allclose(F, F[0], rtol=1e-9, atol=1e-9 * np.abs(F[0]).max()))
+        if ends(times):
+            return True, lasts
+        return (True, horizon) if ends(np.full(LATE, times[0])) else (False, lasts)
 
 
 def rates(plant: Plant, X: np.ndarray) -> tuple[float, float]:
