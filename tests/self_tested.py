@@ -2,8 +2,8 @@
 
 Each line of npred.c that computes is changed: constants, signs, factors, comparisons, conditions, indices, the numbers
 of tables and settings; statements are left out. All changes are compiled at once; one at a time is switched on. What
-passes the self-test then takes runs of its own, of other seeds; a change matters if there U differs by 1e-6 of its size
-or a call is refused in place of a command.
+passes the self-test then takes runs of its own, of other seeds; a change matters if U differs there in double precision
+by 1e-6 of its size, or a call is refused in place of a command.
 """
 
 import re
@@ -56,32 +56,17 @@ static int npred_mutant = -1;
 static double before[RUN_CALLS][NPRED_M_INPUTS], size[NPRED_M_INPUTS];
 static npred_controller c;
 
-/* Whether the self-test passes: as its main, but it ends at the first difference. */
-static int passes(void)
+/* Whether the self-test passes. */
+static int passes(int unused)
 {
-    npred_init(&c);
-    for (int s = 0; s < TEST_CALLS; s++) {
-        npred_real U[NPRED_M_INPUTS];
-        const int code = test_call(&c, s, U);
-        if ((code != NPRED_OK) != isnan(test_U[s * NPRED_M_INPUTS])) {
-            return 0;
-        }
-        for (int i = 0; i < NPRED_M_INPUTS && code == NPRED_OK; i++) {
-            if (!(fabs((double)U[i] - (double)test_U[s * NPRED_M_INPUTS + i]) <= TEST_LIMIT * (double)test_size[i])) {
-                return 0;
-            }
-        }
-        const double apart = fabs((double)c.saved.D_hat[0] - (double)test_D_hat[s]);
-        if (!(apart <= TEST_LIMIT * (double)test_size[NPRED_M_INPUTS])) {
-            return 0;
-        }
-    }
-    return 1;
+    (void)unused;
+    return freopen("/dev/null", "w", stdout) && self_test() == 0;
 }
 
-/* Whether U of the runs is as before. */
+/* How many decades below its size U of the runs changes at most, up to SAME. */
 static int same(int first)
 {
+    double most = 0;
     for (int s = 0; s < RUN_CALLS; s++) {
         npred_real U[NPRED_M_INPUTS];
         if (s % RUN_LENGTH == 0) {
@@ -93,17 +78,20 @@ static int same(int first)
             if (first) {
                 before[s][i] = now;
                 size[i] = fmax(size[i], fabs(now));
-            } else if (isnan(now) != isnan(before[s][i]) || fabs(now - before[s][i]) > CHANGED * size[i]) {
+            } else if (isnan(now) != isnan(before[s][i])) {
                 return 0;
+            } else if (!isnan(now)) {
+                most = fmax(most, fabs(now - before[s][i]) / size[i]);
             }
         }
     }
-    return 1;
+    return most < pow(10, -SAME) ? SAME : (int)fmax(-log10(most), 0);
 }
 
-static int within(int k, int (*what)(int))
+static int forked(int k, int (*what)(int))
 {
     int status;
+    fflush(stdout);
     const pid_t child = fork();
     if (child == 0) {
         npred_mutant = k;
@@ -116,25 +104,18 @@ static int within(int k, int (*what)(int))
     return WIFEXITED(status) ? WEXITSTATUS(status) : 0; /* a crash is seen */
 }
 
-static int test(int unused)
-{
-    (void)unused;
-    return passes();
-}
-
 int main(int count, char **chosen)
 {
+    int (*const what)(int) = atoi(chosen[1]) ? same : passes;
     same(1);
-    printf("%d %d\n", within(-1, test), within(-1, same)); /* apart, as the others: what is static stays as it was */
-    fflush(stdout);
-    for (int a = 1; a < count; a++) {
-        const int k = atoi(chosen[a]), passed = within(k, test);
-        printf("%d %d %d\n", k, passed, passed ? within(k, same) : 0);
-        fflush(stdout);
+    printf("%d\n", forked(-1, what)); /* apart, as the others: what is static stays as it was */
+    for (int a = 2; a < count; a++) {
+        printf("%d\n", forked(atoi(chosen[a]), what));
     }
     return 0;
 }
 """
+SAME = 6  # decades below its size: U that changes by less is the same
 RUN_CALL = "static int run_call(npred_controller *c, int s, npred_real *U)"
 
 
@@ -143,6 +124,7 @@ class Mutant(NamedTuple):
 
     line: int
     text: str
+    change: float = 0.0  #: of U, of its size
 
 
 class Row(NamedTuple):
@@ -292,25 +274,47 @@ def run_call(source: str) -> str:
     return body
 
 
-def judged(controller: Controller, precision: str = "double", count: int = 1500, seed: int = 0) -> Row:
-    """What becomes of `count` mutants of a controller's export, drawn without replacement."""
-    header, source = c_controller.sources(controller, precision=precision)
+def judged(controller: Controller, precision: str = "double", count: int = 1500, seed: int = 0, part: str = "") -> Row:
+    """What becomes of `count` mutants of a controller's export, drawn without replacement, of one of its parts or of
+    all. Whether U changes is asked in double precision.
+    """
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        real = f"#define npred_real {precision}\n"
-        (folder / "npred.h").write_text(header)
-        (folder / "runs.h").write_text(real + runs(controller, seed) + "\n" + run_call(source))
-        (folder / "driver.c").write_text(f"{real}#define CHANGED 1e-6\n#define LIMIT_S 20\n{DRIVER}")
-        lines, mutants, tables = mutated(source)
-        dropped = compiled(folder, source, lines, mutants, tables)
-        left = [k for k, mutant in enumerate(mutants) if mutant.line not in dropped]
+        folders = {real: Path(name, real) for real in {precision: 0, "double": 0}}
+        built = [written(folder, controller, real, seed) for real, folder in folders.items()]
+        mutants, lines, dropped = built[0][0], range(len(built[0][1])), {line for *_, lines in built for line in lines}
+        assert len(built[-1][0]) == len(mutants)
+        if part:
+            text = without_comments(controller.parts[part].text).split("\n")
+            first = built[-1][1].split("\n").index(text[0])
+            lines = range(first, first + len(text))
+        left = [k for k, mutant in enumerate(mutants) if mutant.line not in dropped and mutant.line in lines]
         chosen = np.sort(np.random.default_rng(seed).permutation(left)[:count])
-        done = subprocess.run(["./driver", *map(str, chosen)], cwd=folder, capture_output=True, text=True, check=True)
-    first, *rest = ([int(word) for word in line.split()] for line in done.stdout.splitlines())
-    assert first == [1, 1], "the text without a change must pass, and give the same U twice"
-    assert len(rest) == len(chosen)
-    passed = [row for row in rest if row[1]]
-    return Row(len(rest), len(passed), [mutants[k] for k, _, same in passed if not same])
+
+        def ran(folder: Path, what: str, of: np.ndarray) -> list[int]:
+            command = ["./driver", what, *map(str, of)]
+            first, *rest = map(int, subprocess.run(command, cwd=folder, stdout=-1, check=True).stdout.split())
+            assert first == (SAME if what == "1" else 1), (
+                "the text without a change must pass, and give the same U twice"
+            )
+            return rest
+
+        passed = chosen[np.array(ran(folders[precision], "0", chosen)) == 1]
+        changes = ran(folders["double"], "1", passed)
+    matter = [
+        mutants[k]._replace(change=10.0**-least) for k, least in zip(passed, changes, strict=True) if least < SAME
+    ]
+    return Row(len(chosen), len(passed), matter)
+
+
+def written(folder: Path, controller: Controller, real: str, seed: int) -> tuple[list[Mutant], str, set[int]]:
+    """Build the driver; the mutants, the text, and the lines whose mutants are no C."""
+    folder.mkdir()
+    header, source = c_controller.sources(controller, precision=real)
+    (folder / "npred.h").write_text(header)
+    (folder / "runs.h").write_text(f"#define npred_real {real}\n" + runs(controller, seed) + "\n" + run_call(source))
+    (folder / "driver.c").write_text(f"#define npred_real {real}\n#define SAME {SAME}\n#define LIMIT_S 5\n{DRIVER}")
+    lines, mutants, tables = mutated(source)
+    return mutants, without_comments(source), compiled(folder, source, lines, mutants, tables)
 
 
 def compiled(folder: Path, source: str, lines: list[str], mutants: list[Mutant], tables: list[str]) -> set[int]:

@@ -11,7 +11,7 @@ import numpy as np
 import npred
 from npred.base import source_lines
 from npred.base.errors import ConfigError, unlisted
-from npred.exports import Exported, WholeController, c_files, self_test
+from npred.exports import Exported, WholeController, c_files, filter_test, self_test
 from npred.guard.guarded import bare
 from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
@@ -23,7 +23,7 @@ from npred.prediction.delays import problem_of
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
 PRECISIONS = {"float": np.float32, "double": np.float64}
-COARSE = 0.02  # of a size, in float: the least h of a safety filter, and U of most calls that it changes
+COARSE = 0.02  # of a size, in float: the least h of a safety filter
 ON_BOUND = {"float": 1e-5, "double": setpoint.ROUNDING}  # of a state's or an input's size, for the rest of a set-point
 LIMITS = {"float": 1e-4, "double": 1e-10}  # limits of the test in the file, times what it amplifies rounding errors by
 FAR = 1e30  # an h of a prediction that may overflow in float
@@ -70,7 +70,6 @@ def sources(
         "OFFSETS": bool(controller.settings.offsets),
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
-        "PLANS": _single(controller, precision) and controller.safety is not None,
     }
     sizes = _sizes(controller, kernels, variants)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
@@ -244,13 +243,21 @@ def _test(controller: Controller, name: str, real: str) -> str:
     vectors += [constant(f"test_{key}", a) for key, a in stamps.items()]
     single = _single(controller, real)
     limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
-    if single and controller.safety:
+    if controller.safety:
         h, filtered, grown = self_test.kept(controller, test)
         lost = (grown > self_test.GROWTH) | (np.abs(h) > FAR)
-        limit = LIMITS["float"] * max(grown[~lost].max(initial=0.0), 1.0)
+        limit = LIMITS["float" if single else "double"] * max(grown[~lost].max(initial=0.0), 1.0)
         vectors += [constant("test_filtered", np.where(lost, 2.0, filtered), real), constant("test_kept", h, real)]
         vectors += [f"#define TEST_COARSE {COARSE}", f"#define TEST_H {float(np.nanmedian(np.abs(h))) or 1.0!r}"]
-    counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}"
+    cases = ""
+    if controller.safety:
+        of_filter = filter_test.cases(controller, PRECISIONS[real])
+        cases = f", TEST_CASES = {len(of_filter.given)}, TEST_GIVEN = {of_filter.given.shape[1]}"
+        vectors += [
+            constant(f"test_{key}", np.ravel(a), real) for key, a in of_filter._asdict().items() if a.dtype == float
+        ]
+        vectors += [constant("test_rounds", np.ravel(of_filter.rounds), "int")]
+    counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}{cases}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
     sets = []
     if values := self_test.moved(controller):

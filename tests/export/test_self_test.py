@@ -2,10 +2,12 @@
 
 import subprocess
 
+import limited
 import numpy as np
 import plants
 import pytest
 from c_controllers import FLAGS, needs_gcc
+from plants import declared
 from self_tested import TWELVE
 from self_tested import judged as of_mutants
 
@@ -57,19 +59,44 @@ def test_a_law_of_another_gain_fails(tmp_path, name):
 
 
 FILTERED = {"Cart": (0.3, 0.01), "Pole": (0.12, 0.005), "Lane": (0.15, 0.01), "Elbow": (0.1, 0.01)}  # D, dt
+SEVEN = [*FILTERED, "near", "swing", "docs"]
+Docs = declared(  # of docs/safety.md
+    "Docs", "x v", "u", lambda x, u, t, p, M: [x.v, u.u], [(-1.0, 1.0), (-1.0, 1.0)], (-5.0, 5.0),
+    kappa=lambda x, t, p, M: [-4 * (x.x - 0.95) - 1.2 * x.v], safe=lambda x, t, p, M: [1.0 - x.x, 1.0 + x.x],
+)  # fmt: skip
+
+
+def filtered(name):
+    if name in FILTERED:
+        plant, (D, dt) = (
+            npred.plant(getattr(plants, name), **{"kappa": "lqr"} if name == "Pole" else {}),
+            FILTERED[name],
+        )
+    else:
+        case = limited.cases().get(name)
+        plant, D, dt = (case.plant, case.D, case.dt) if case else (npred.plant(Docs), 0.3, 0.01)
+    return npred.controller(
+        plant, npred.predictor(plant, "rk4", 31), None, dt, D_hat=D, actuator="history", safety=npred.SafetyFilter()
+    )
 
 
 @pytest.mark.parametrize("name", FILTERED)
 def test_a_filter_passes_in_float_and_one_of_other_plans_or_limits_fails(tmp_path, name):
-    """Where plans are alike a float may choose another one; where the filter does not act U is the same."""
-    plant, (D, dt) = npred.plant(getattr(plants, name), **{"kappa": "lqr"} if name == "Pole" else {}), FILTERED[name]
-    made = npred.controller(
-        plant, npred.predictor(plant, "rk4", 31), None, dt, D_hat=D, actuator="history", safety=npred.SafetyFilter()
-    )
-    plans = ("high[c]) + added", "high[c]) - added")  # Pole's test has one call with a plan: too few to tell
-    for change in (("", ""), *[plans][: name != "Pole"], ("least_h = smaller(", "least_h = 0.9f * smaller(")):
-        written(tmp_path, made, "float", change)
-        assert (own_test(tmp_path).returncode == 0) == (not change[0]), change
+    """Each call of its kernel has a memory of its own, and a limit that is what rounding can do in this call."""
+    changes = ("high[c]) + added", "high[c]) - added"), ("least_h = smaller(", "least_h = 0.999f * smaller(")
+    for change in (("", ""), *changes):
+        written(tmp_path, filtered(name), "float", change)
+        done = own_test(tmp_path)
+        assert (done.returncode == 0) == (not change[0]), change
+        assert ("case" in done.stdout) == bool(change[0])
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", SEVEN)
+def test_no_mutant_of_a_filter_that_changes_u_passes_in_float(name):
+    row = of_mutants(filtered(name), "float", 200, part="protect")
+    print(row)
+    assert row.mutants == 200 and not row.matter
 
 
 @pytest.mark.slow
