@@ -151,6 +151,8 @@ def identify(
         raise ConfigError(f"--output: expected the file of the pipeline, got {str(output)!r}; {cure}")
     artifact = bring(options, ["identify"])[-1].artifact
     result, plant = IdentifiedResult.read(artifact.folder), options.planner().plant
+    if not options.json:  # the check of the pipeline takes longer
+        options.console.out("\n".join(result.sentences))
     path = output or Path(f"{options.stem}.toml")
     page = path.with_suffix(".html")
     try:
@@ -179,7 +181,7 @@ def identify(
             logs = " ".join(log.name for log in options.logs)
             path.write_text(f"{target} {logs}\n{head}\n{dumps(tables)}", encoding="utf-8")
             files.append(path)
-    said = "\n".join([*result.sentences, *remarks, *(f"wrote {file}" for file in files)])
+    said = "\n".join([*remarks, *(f"wrote {file}" for file in files)])
     options.show(result.json_object() | {"remarks": remarks, "files": list(map(str, files))}, lambda: said)
     if refusal:
         raise UnmetError(f"no pipeline was written: {refusal}")

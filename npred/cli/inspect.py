@@ -9,9 +9,12 @@ from npred.base.errors import ConfigError, NpredError, UnmetError, unlisted
 from npred.base.json_files import escaped
 from npred.base.registry import RESOLVERS
 from npred.cli.options import Common, Planned, argument, drawable, flag
+from npred.lab.report.terminal.console import columns
 from npred.lab.scheduler.plan import STAGES, Step, nodes, usual
 from npred.lab.scheduler.reasons import changes, differences, flat
 from npred.lab.store import Artifact, short
+
+QUESTION = "question".ljust(len("delay estimate"))  # as wide as the longest one
 
 
 def status(
@@ -180,15 +183,26 @@ def check(
     pipeline = config.load(Path(plant)) if plant.endswith(".toml") else None
     name, parameters, law, delays = pipeline.of_plant if pipeline else (plant, {}, "", None)
     asked, plot = plants.resolve(name, parameters, kappa or law, delays), figure and drawable(figure)
-    settings = {"delay": delay, "nx": nx, "u0": u0 and config.value(u0)}
+    shown: list[diagnosis.Answer] = []
+
+    def said(answer: diagnosis.Answer) -> None:
+        """Print a row as soon as it is known, the first one below the head."""
+        lines = columns([QUESTION, "answer", "found"], [[*answer[:3]]], options.console.width).splitlines()
+        if not options.json:
+            options.console.out("\n".join(lines[bool(shown) :]))
+        shown.append(answer)
+
+    settings = {"delay": delay, "nx": nx, "u0": u0 and config.value(u0), "said": said}
     answers = pipeline_fit.check(asked, pipeline, **settings) if pipeline else diagnosis.check(asked, **settings)
     fine = diagnosis.settled(answers)
-    rows = [[*answer[:3]] for answer in answers]
+    for answer in answers[len(shown) :]:
+        said(answer)
     entries = [{key: value for key, value in answer._asdict().items() if value is not None} for answer in answers]
     document = {"plant": plant, "fine": fine, "answers": entries}
     document |= {"kappa": str(asked.law), "guess": asked.guess.tolist()} if asked.law_table else {}
-    options.show_table(document, ["question", "answer", "found"], rows)
-    if asked.law_table and not options.json:
+    if options.json:
+        options.console.json(document)
+    elif asked.law_table:
         options.console.out(f"guess = {asked.guess.tolist()}\n\n{asked.law}")
     if plot:
         from npred.lab.report import figures

@@ -1,7 +1,7 @@
 """The check of a plant, one answer per question, before an hour of rollouts and training."""
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -52,15 +52,17 @@ QUESTIONS = (
 
 
 def check(
-    plant: Plant, delay: float | None = None, nx: int | None = None, samples: int = SAMPLES, u0: Any = None
-) -> list[Answer]:
-    """Every question about a plant with its answer, for delays up to `delay` on `nx` nodes.
+    plant: Plant, delay: float | None = None, nx: int | None = None, samples: int = SAMPLES, u0: Any = None,
+    said: Callable[[Answer], object] = bool,
+) -> list[Answer]:  # fmt: skip
+    """Every question about a plant with its answer, for delays up to `delay` on `nx` nodes; `said` gets those of
+    QUESTIONS as they are found.
 
     By default the delay is the longest of the plant's, else `assumed`, and nodes are 101. Raises ConfigError for a u0
     that does not fit, and as `answers` does.
     """
     D, source = longest(plant) if delay is None else (delay, "as asked")
-    case = Case(plant, D, NODES if nx is None else nx, samples, source, u0)
+    case = Case(plant, D, NODES if nx is None else nx, samples, source, u0, said=said)
     inputs.start(plant, u0, case.limits)
     return answers(case)
 

@@ -59,7 +59,7 @@ class Case:
     """A plant, the largest delay and the nodes that it is to be predicted with, and how many samples.
 
     `source` says where the delay is from; u0 is the input before t = 0. The answers so far are kept by the names of
-    their questions, and the loops that were simulated by their D_hat.
+    their questions, and the loops that were simulated by their D_hat. `said` gets each as it is found.
     """
 
     plant: Plant
@@ -71,6 +71,7 @@ class Case:
     experiment: PlannedExperiment | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
     ensembles: dict[float, Any] = field(default_factory=dict)  # npred.diagnosis.loops.Ensemble
+    said: Callable[[Answer], object] = bool
 
     def ask(self, question: Check) -> Answer | None:
         """The answer, None where the question does not apply. A plant that fails meanwhile has one: no, and how."""
@@ -81,6 +82,7 @@ class Case:
                 verdict = "no", str(error)
             figures = verdict[2] if len(verdict) == 3 else None
             self.answers[question.name] = Answer(question.name, verdict[0], verdict[1], figures)
+            self.said(self.answers[question.name])
         return self.answers.get(question.name)
 
     def verdict(self, name: str) -> str | None:

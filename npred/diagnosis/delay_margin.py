@@ -217,7 +217,7 @@ class MismatchedLoop:
         most = 2 * np.exp(-c * np.outer(self.r, (self.D, *D_hats))).max()  # |e^{-s D} - e^{-s D_hat}|
         gains = [np.linalg.norm(self.G(tried, D_hat, c), axis=(1, 2)) for D_hat in D_hats]
         loud = np.flatnonzero(np.max(gains, axis=0) >= QUIET / most)
-        top = tried[min(loud.max(initial=-1) + 1, len(tried) - 1)]
+        top = float(tried[min(loud.max(initial=-1) + 1, len(tried) - 1)])
         even = np.arange(0.0, top + 1.0 / max(self.D, *D_hats), PHASE / max(self.D, *D_hats))
         return np.unique(np.concatenate([even, around[around < top]]))
 

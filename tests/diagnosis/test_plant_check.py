@@ -17,6 +17,7 @@ from npred import diagnosis, plants
 from npred.base.errors import ConfigError
 from npred.cli import app
 from npred.diagnosis import check, equilibrium, settled
+from npred.diagnosis.case import Check
 from npred.lab import config
 from npred.lab.scheduler import pipeline_fit
 from npred.plants import Plant
@@ -535,3 +536,12 @@ def test_a_fault_of_the_machine_is_no_verdict_on_a_plant(tmp_path, cache, words,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (5, "")
     assert words in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_each_answer_is_said_before_the_next_question_is_asked(monkeypatch: pytest.MonkeyPatch):
+    said: list[str] = []
+    last = Check("last", lambda case: ("yes", " ".join(said)))
+    monkeypatch.setattr(diagnosis, "QUESTIONS", (*diagnosis.QUESTIONS[:8], last))
+    answers = diagnosis.check(plants.resolve("scalar"), 1.0, said=lambda answer: said.append(answer.check))
+    assert answers[-1].text == "trace, smooth law, box, finite, delay, equilibrium, stability".replace(",", "")
+    assert said == [answer.check for answer in answers]

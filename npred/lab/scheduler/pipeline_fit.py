@@ -1,8 +1,8 @@
 """The check of a pipeline: can its stages run with its plant, and are its loops in doubt?"""
 
 import json
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -110,8 +110,9 @@ class PipelineFit:
 
 
 def check(
-    plant: Plant, pipeline: Pipeline, delay: float | None = None, nx: int | None = None, u0: Any = None
-) -> list[Answer]:
+    plant: Plant, pipeline: Pipeline, delay: float | None = None, nx: int | None = None, u0: Any = None,
+    said: Callable[[Answer], object] = bool,
+) -> list[Answer]:  # fmt: skip
     """Every answer about the plant as the pipeline uses it, and whether each of its stages can run with the plant. Of a
     file with [evaluate] and no other stage, as a rig's, that table alone is asked.
 
@@ -119,7 +120,7 @@ def check(
     """
     alone = pipeline.model_fields_set.intersection(STAGES) == {"evaluate"}
     fit = PipelineFit(plant, pipeline, ("evaluate",) if alone else STAGES)
-    case = fit.case(delay, nx, u0)
+    case = replace(fit.case(delay, nx, u0), said=said)
     inputs.start(plant, u0, case.limits)
     answers = diagnosis.answers(case)
     if plant.declares_kappa:
