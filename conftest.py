@@ -43,7 +43,8 @@ settings.load_profile("npred")
 LONGEST = (
     "test_docs", "test_self_test", "test_identify", "test_stack", "test_units_of_time", "test_chain",
     "test_plant_check", "test_c_stamps", "test_onnx", "test_c_controller", "test_c_compilers", "test_fmu",
-    "test_recording_to_pipeline", "test_experiments", "test_cortex_m", "test_other_systems", "test_formula", "test_models", "test_without_extras",
+    "test_recording_to_pipeline", "test_experiments", "test_cortex_m", "test_other_systems", "test_formula",
+    "test_models", "test_without_extras",
 )  # fmt: skip
 QUICK = tuple("-O1" if flag == "-O3" else flag for flag in compiler.FLAGS)
 TANK = """
