@@ -18,7 +18,9 @@ from filelock import FileLock
 from hypothesis import HealthCheck, settings
 from typer.testing import CliRunner, Result
 
+from npred import plants
 from npred.cli import app
+from npred.identification import fit
 from npred.kernels import compiler
 from npred.lab.config import Pipeline
 from npred.lab.report.figures.figure import Panel, inline
@@ -26,6 +28,7 @@ from npred.lab.report.figures.style import SCREEN, medium
 from npred.lab.scheduler.plan import STAGES, Node, Planner
 from npred.lab.stages.report import html_page
 from npred.lab.store import Store
+from npred.loop import engine
 
 Call = Callable[..., Result]
 if "NPRED_TEST_GPU" not in os.environ:
@@ -38,8 +41,10 @@ settings.register_profile("npred", deadline=None, derandomize=True, suppress_hea
 settings.load_profile("npred")
 # The modules that take longest, from the longest on
 LONGEST = (
-    "test_docs", "test_units_of_time", "test_c_compilers", "test_chain", "test_recording_to_pipeline", "test_formula",
-    "test_models",
+    "test_docs", "test_self_test", "test_identify", "test_stack", "test_units_of_time", "test_chain",
+    "test_plant_check", "test_c_stamps", "test_onnx", "test_c_controller", "test_c_compilers", "test_fmu",
+    "test_recording_to_pipeline", "test_experiments", "test_cortex_m", "test_other_systems", "test_formula",
+    "test_models", "test_without_extras",
 )  # fmt: skip
 QUICK = tuple("-O1" if flag == "-O3" else flag for flag in compiler.FLAGS)
 TANK = """
@@ -131,6 +136,8 @@ def quickly_compiled() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiler, "FLAGS", QUICK)
         yield
+    for kept in (engine.loaded, plants.restored, plants.remade, fit._joining):  # other tests compile theirs
+        kept.cache_clear()
 
 
 @pytest.fixture

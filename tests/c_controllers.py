@@ -68,11 +68,8 @@ def find_nothing(folder, file, *flags, names=("gcc", "clang")):
         assert done.returncode == 0 and not done.stderr, f"{name}: {done.stderr}"
 
 
-def library(controller, folder, precision="double", more=("-O1",)):
-    """The shared library of a controller, with more flags of gcc; its two files are in the folder.
-
-    Optimised as far as its numbers need: test_stack.py and test_self_test.py take more.
-    """
+def library(controller, folder, precision="double", more=()):
+    """The shared library of a controller, with more flags of gcc; its two files are in the folder."""
     header, source = sources(controller, precision=precision)
     (folder / "npred.h").write_text(header)
     (folder / "npred.c").write_text(source)

@@ -30,7 +30,6 @@ from npred.loop.timing import ControlClock
 from npred_experiments import EXPERIMENTS
 from npred_experiments.experiment import load
 
-pytestmark = pytest.mark.usefixtures("quickly_compiled")
 ROOT = HERE.parent
 GENERATED = {"commands.md", "configuration.md", "named_plants.md", "results.md"}
 PAGES = [
