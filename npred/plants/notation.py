@@ -14,6 +14,13 @@ LETTER = re.compile(f"(?i:{SPELT})")
 NAME = re.compile(rf"((?i:{SPELT})|[A-Za-z])(?:_?(\d+)|_(?!dot)([A-Za-z][A-Za-z0-9]*))?")  # x, x1, x_1, T_out, theta1
 D_HAT, HORIZON = "D̂", "D(X, t)"
 
+WORDS = {
+    1.0: "s sec secs second seconds sek", 1e-3: "ms msec millis millisecond milliseconds",
+    1e-6: "us µs μs usec micros microsecond microseconds", 1e-9: "ns nsec nanosecond nanoseconds",
+    60.0: "min mins minute minutes", 3600.0: "h hr hrs hour hours", 86400.0: "d day days",
+}  # fmt: skip
+UNITS = {word: seconds for seconds, words in WORDS.items() for word in words.split()}  # of time, in s
+
 
 def symbol(plant: Plant, name: str) -> str:
     """A state, an input or D_hat without its unit: the label that the plant declares, else its name in letters.

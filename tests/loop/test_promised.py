@@ -145,3 +145,16 @@ def test_the_metric_of_the_ball_is_that_of_lyapunovs_equation():
     for _ in range(24):
         S, power = S + power.T @ S @ power, power @ power
     np.testing.assert_allclose(S, solve_discrete_lyapunov(A.T, np.eye(2)), rtol=1e-9)
+
+
+def test_a_promise_made_by_a_noisy_estimate_uses_its_margin_and_is_not_given_up():
+    """The estimate errs by less than the margin, but by more than the reserve of a plan."""
+    plant, X0 = mass(5.0, 5.5), np.column_stack([np.linspace(-6.0, 0.0, 8), np.full(8, 3.0)])
+    noise = [4e-3, 4e-3]
+    runs = npred.simulate(
+        plant, npred.predictor(plant, "rk4", 31), D=0.3, D_hat=0.3, X0=X0, t_end=9.0, dt=0.02, actuator="history",
+        u0=[0.0], progress=False, safety=npred.SafetyFilter(margin=0.05), measurement=npred.Measurement(noise=noise),
+        observer=npred.observers.EKF(plant, R=np.square(noise), outputs=plant.states),
+    )  # fmt: skip
+    assert runs.promised[:, 0].all() and runs.safety.min() > 0
+    assert (~runs.promised).sum(axis=1).max() < 20  # of 451 control steps

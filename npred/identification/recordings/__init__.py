@@ -19,13 +19,8 @@ import numpy as np
 from npred.base import json_files
 from npred.base.errors import ConfigError, NpredError, bytes_text, first_line, similar, unlisted
 from npred.base.registry import RECORDINGS
+from npred.plants.notation import UNITS
 
-WORDS = {
-    1.0: "s sec secs second seconds sek", 1e-3: "ms msec millis millisecond milliseconds",
-    1e-6: "us µs μs usec micros microsecond microseconds", 1e-9: "ns nsec nanosecond nanoseconds",
-    60.0: "min mins minute minutes", 3600.0: "h hr hrs hour hours", 86400.0: "d day days",
-}  # fmt: skip
-UNITS = {word: seconds for seconds, words in WORDS.items() for word in words.split()}  # of time, in s
 USUAL = ("s", "ms", "us", "µs", "ns", "min", "h", "d")  # those that a message lists
 LISTED = 12  # names in a message
 UNPACKERS = {"gz": gzip.open, "bz2": bz2.open, "xz": lzma.open}  # of text, by the last suffix

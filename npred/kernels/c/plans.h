@@ -56,7 +56,7 @@ typedef struct {
     double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
-    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts; /* of the loop that is planned for: its ends, and U */
+    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts, margin; /* of the loop that is planned for: its ends, and U */
     Plan plan;
     Memory memory;
     union {
@@ -84,8 +84,8 @@ static INLINED double PART(_reserve)(const int count, const int side, int reserv
     const double before = r->before[a], middle = r->between[a], end = r->h[a], below = r->below[a];
     const double dip = below > 0.0 && decay == 1.0 ? DIP + 0.1 * below / size : 0.0;
     const double reserve = reserved ? TIGHT - r->spent[a] * returned : LATER_BREACH * (returned - 1.0) - dip;
-    const double floor = s[MARGIN] - below * decay + reserve * size;
-    const double floor_inside = s[MARGIN] - below * halfway + reserve * size;
+    const double floor = r->margin - below * decay + reserve * size;
+    const double floor_inside = r->margin - below * halfway + reserve * size;
     const double rise = 0.5 * (end - before), bend = end + before - 2.0 * middle;
     const double vertex = bend > fabs(rise) ? middle - 0.5 * rise * rise / bend : end;
     const double lower = larger(bend, 0.0) / 8.0;
@@ -144,7 +144,7 @@ static INLINED void PART(_between)(const int count, int i, double begin, double 
             LIMITS(count, states[j] + l, r->t[l] + (j == 1 ? begin : j == 2 ? end : middle), p, r->other + l);
         }
         for (int a = 0; a < K * count; a++) {
-            const double room = (r->other[a] - s[MARGIN] + r->below[a] * decay) / s[SIZES + a / count];
+            const double room = (r->other[a] - r->margin + r->below[a] * decay) / s[SIZES + a / count];
             r->strict[a % count] = smaller(r->strict[a % count], room);
         }
     }
@@ -356,8 +356,8 @@ static inline void PART(_begin)(int count, int at, int e, const double *p, const
     double *const h = r->h;
     LIMITS(1, x, r->moments[e], p, h);
     for (int k = 0; k < K; k++) {
-        r->below[k * count + at] = larger(s[MARGIN] - h[k], 0.0);
-        r->spent[k * count + at] = within(TIGHT - (h[k] - s[MARGIN]) / s[SIZES + k], 0.0, TIGHT);
+        r->below[k * count + at] = larger(r->margin - h[k], 0.0);
+        r->spent[k * count + at] = within(TIGHT - (h[k] - r->margin) / s[SIZES + k], 0.0, TIGHT);
     }
     for (int c = 0; c < N; c++) {
         r->x[c * count + at] = x[c];

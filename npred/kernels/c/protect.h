@@ -263,7 +263,7 @@ static inline void PART(_first)(const Rollouts *r, const double *s, const double
     }
 }
 
-/* Go on with the plan that is kept, if it still has room; U is its first one. It is promised if it rests, or was before
+/* Go on with the plan that is kept, if it still has room, which may be that of the margin; U is its first one. It is promised if it rests, or was before
  * and the state is the one that it led to: what is beyond the grid is known from then. */
 static APART int PART(_goes_on)(const double *s, const double *low, const double *high, double *U, Rollouts *r)
 {
@@ -278,6 +278,7 @@ static APART int PART(_goes_on)(const double *s, const double *low, const double
     PART(_go_on)(s, &before.kept, &r->plan);
     LAW(1, r->ends, smaller(r->moments[0], before.until), before.p, law);
     r->lasts = before.until - r->moments[0];
+    r->margin = 0.0;
     for (int c = 0; c < M; c++) {
         law[c] += before.w[c];
     }
@@ -325,8 +326,11 @@ static inline double PART(_choose)(double room, int rests, const double *p, cons
     if (!PART(_brakes)(0, p, s, low, high, other, r)) {
         const int goes_on = had && PART(_goes_on)(s, low, high, other, r);
         r->memory.promised = goes_on ? r->memory.promised : 0.0;
-        if (r->memory.promised < 1.0 && !PART(_brakes)(1, p, s, low, high, other, r) && !goes_on) {
-            return found;
+        if (r->memory.promised < 1.0) {
+            r->margin = s[MARGIN];
+            if (!PART(_brakes)(1, p, s, low, high, other, r) && !goes_on) {
+                return found;
+            }
         }
     }
     for (int c = 0; c < M; c++) {
@@ -350,15 +354,17 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
     }
     for (int l = 0, loops; l < lanes; l += loops) {
         loops = lanes - l >= LOOPS ? LOOPS : 1;
+        r->margin = safety[MARGIN];
         if (loops == 1) {
             PART(_alone)(1, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, rests, r);
         } else {
             PART(_alone)(LOOPS, lanes, l, ends, moments, p, safety, least_U, most_U, U, room, kept + l, rests, r);
         }
         for (int b = l; b < l + loops; b++) {
-            const int is_kept = kept[b] >= safety[MARGIN], acts = room[b - l] < 0.0;
+            const int acts = room[b - l] < 0.0;
             double *const memory = (double *)&r->memory;
             double found, had;
+            r->margin = safety[MARGIN];
             PART(_meet)(lanes, b, ends, moments, U, p, r);
             for (int i = 0; i < (int)REMEMBERED; i++) {
                 memory[i] = plan[i * lanes + b];
@@ -379,10 +385,10 @@ static inline void KERNEL(Shape d, const double *ends, const double *moments, co
             if (!acts) {
                 r->memory.last.edges[0] = 0.0;
             }
-            unkept[b] = found < ENOUGH || !is_kept ? 1.0 : unkept[b];
-            if (unkept[b] > 0.0) {
+            if (found < ENOUGH || !(kept[b] >= r->margin) || unkept[b] > 0.0) {
                 r->memory.promised = 0.0;
             }
+            unkept[b] = found < ENOUGH || !(kept[b] >= safety[MARGIN]) ? 1.0 : unkept[b];
             r->memory.withdrawn += ENDS == 1 && had >= 1.0 && r->memory.promised < 1.0 ? 1.0 : 0.0;
             promised[b] = ENDS == 1 && r->memory.promised >= 1.0 ? 1.0 : 0.0; /* kappa reads a wrong prediction else */
             STEP(1, r->ends, next, r->moments[0], safety[STEP_LENGTH], p, r->memory.next, r->y);

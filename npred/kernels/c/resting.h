@@ -231,7 +231,7 @@ static APART int PART(_rests)(int at, int count, const double *p, const double *
         }
         for (int k = 0; k < K; k++) {
             const double *const h = b->h + k * POINTS;
-            if (!(h[0] - PART(_spread)(h) >= s[MARGIN])) {
+            if (!(h[0] - PART(_spread)(h) >= r->margin)) {
                 return 0;
             }
         }

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from npred.plants.base import Plant
 
 
-SECONDS = {"ms": 1e-3, "min": 60.0, "h": 3600.0, "d": 86400.0}  # in a unit of time, where it is not the second
-
-
 @dataclass(frozen=True)
 class SafetyFilter:
     """U = kappa(P), changed only where the loop that follows would break a limit h >= margin that the plant declares by
@@ -73,9 +70,10 @@ class SafetyFilter:
         """What a user should know before the first command, of its `numbers`."""
         from npred.loop.safety.filter import survey
         from npred.plants import inputs
+        from npred.plants.notation import UNITS
 
         bounds = tuple(tuple(pair) for pair in inputs.widest(plant, input_bounds).tolist())
-        return survey(plant, self.ends, tuple(values.tolist()), bounds).doubts(dt, SECONDS.get(plant.time_unit, 1.0))
+        return survey(plant, self.ends, tuple(values.tolist()), bounds).doubts(dt, UNITS.get(plant.time_unit, 1.0))
 
     def operations(self, plant: "Plant") -> int:
         """Floating-point operations of its longest step at most."""

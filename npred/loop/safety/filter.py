@@ -113,7 +113,7 @@ def scratch(plant: Plant, ends: int) -> int:
     abreast = lanes * (4 * n + 4 * m + 6 * K + variables + 6)
     ball = points * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
     solved = 2 * rows + 4 * variables**2 + 7 * variables + 2
-    planned = abreast + rows * side + 7 * variables + BLOCKS + 3
+    planned = abreast + rows * side + 7 * variables + BLOCKS + 4
     return planned + max(ball, solved) + ends * (n + 1) + m + remembered(plant)
 
 
