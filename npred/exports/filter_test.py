@@ -18,10 +18,11 @@ from npred.loop.controller import Controller
 from npred.loop.safety.filter import BLOCKS, DRAWN
 from npred.plants import Plant
 
-STARTS, LENGTH = 96, 10  # states that loops begin at, and their control steps
+STARTS, LENGTH = 64, 16  # states that loops begin at, and their control steps
 ALIKE, TRIED = 4, 12  # calls of a kind that are taken, and that are tried
-MOST = 64  # calls that are taken
+MOST = 96  # calls that are taken
 OUTSIDE = 1.3  # boxes in which half the loops begin
+BISECTIONS = 8  # between two calls of different kinds
 BEYOND = 0.05  # of the size of h: how far the rest is out of the limits where they are moved
 NARROW = 0.25  # of the bounds of U, if U usually needs more
 PUSHED = 0.05  # of the box: how far a state is pushed on the way
@@ -49,8 +50,8 @@ def cases(controller: Controller, kind: type) -> Cases:
     taken, tried, rows = Counter[tuple[bool, ...]](), Counter[tuple[bool, ...]](), []
     m, size = controller.plant.m, controller.memory.signals.plan.size
     flags = [*(m + BLOCKS * (m + 1) + np.arange(2)), *(m + size + np.arange(1, FLAGS))]
-    for given, answer in _met(controller, exactly, kind):
-        alike = _alike(controller, given, answer)
+    for given, answer, middle in _searched(controller, exactly, kind):
+        alike = (middle, *_alike(controller, given, answer))
         if taken[alike] >= ALIKE or tried[alike] >= TRIED:
             continue
         tried[alike] += 1
@@ -77,7 +78,7 @@ def _called(controller: Controller, number: type, kind: type, exact: bool = True
     )
     ends = settings.end_count
     p, safety = (np.ascontiguousarray(a, kind).astype(number) for a in (settings.p, settings.safety))
-    shape, work = Shape(1, 1, 0, n, m), np.empty(kernel.work(1, 1, None), number)
+    shape, work = Shape(1, 1, 0, n, m), np.empty(2 * kernel.work(1, 1, None), number)
     parts = np.cumsum([1, m, m, ends * n, ends, m])
 
     def run(given: np.ndarray) -> np.ndarray:
@@ -87,6 +88,26 @@ def _called(controller: Controller, number: type, kind: type, exact: bool = True
         return np.concatenate(results).astype(float)
 
     return run
+
+
+def _searched(
+    controller: Controller, exactly: Callable[[np.ndarray], np.ndarray], kind: type
+) -> Iterator[tuple[np.ndarray, np.ndarray, bool]]:
+    """The calls of loops, and where two that follow one another are of different kinds, calls between them."""
+    before = None
+    for given, answer in _met(controller, exactly, kind):
+        yield given, answer, False
+        after = _alike(controller, given, answer), given
+        for _ in range(BISECTIONS if before and before[0][:3] != after[0][:3] else 0):
+            middle = (0.5 * (before[1] + after[1])).astype(kind).astype(float)
+            middle[-controller.memory.signals.plan.size :] = before[1][-controller.memory.signals.plan.size :]
+            answer = exactly(middle)
+            if not np.isfinite(answer).all():
+                break
+            yield middle, answer, True
+            between = _alike(controller, middle, answer), middle
+            before, after = (between, after) if between[0][:3] == before[0][:3] else (before, between)
+        before = _alike(controller, given, answer), given
 
 
 def _met(
@@ -111,7 +132,9 @@ def _met(
             U, plan = np.split(answer[:-FLAGS], [plant.m])
             middle_x = x + dt / 2 * plant.f(x, U, t)
             x, t = x + dt * plant.f(middle_x, U, t + dt / 2), t + dt
-            if s % 4 == 3:
+            for first in (0, 2 + BLOCKS * (plant.m + 1)) if s % 4 == 3 else ():  # a block that is over in the next step
+                plan[first : first + BLOCKS] -= max(plan[first] - dt, 0.0)
+            if s % 12 == 11:
                 x = x + PUSHED * box * random.uniform(-1, 1, plant.n)
 
 
@@ -135,7 +158,15 @@ def _alike(controller: Controller, given: np.ndarray, answer: np.ndarray) -> tup
     bound.
     """
     m, size = controller.plant.m, len(answer) - FLAGS - controller.plant.m
-    parts = np.cumsum([BLOCKS, BLOCKS * m, 1, 1, BLOCKS, BLOCKS * m, m])
+    parts, size_of_plan = np.cumsum([BLOCKS, BLOCKS * m, 1, 1, BLOCKS, BLOCKS * m, m]), BLOCKS * (m + 1) + 2
     there = [part.any() for memory in (given[-size:], answer[m : m + size]) for part in np.split(memory, parts)[:-1]]
     bounds = controller.settings.input_bounds.reshape(-1, 2)
-    return (*(answer[2 - FLAGS :] > 0), *there, *(np.abs(answer[:m, None] - bounds) == 0).any(axis=0))
+    later = answer[[m, m + size_of_plan]] > given[[-size, size_of_plan - size]]  # where a block was split
+    return (
+        answer[m] > 0,
+        *(answer[2 - FLAGS : 4 - FLAGS] > 0),
+        answer[-1] > 0,
+        *there,
+        *later,
+        *(np.abs(answer[:m, None] - bounds) == 0).any(axis=0),
+    )
