@@ -257,7 +257,7 @@ def _test(controller: Controller, name: str, real: str) -> str:
     cases = ""
     if controller.safety:
         of_filter = filter_test.cases(controller, PRECISIONS[real])
-        cases = f", TEST_CASES = {len(of_filter.given)}, TEST_GIVEN = {of_filter.given.shape[1]}"
+        cases = f", TEST_CASES = {len(of_filter.arguments)}, TEST_ARGUMENTS = {of_filter.arguments.shape[1]}"
         vectors += [
             constant(f"test_{key}", np.ravel(a), real) for key, a in of_filter._asdict().items() if a.dtype == float
         ]

@@ -50,11 +50,13 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     timed = programs.depends([*of.trace.safe(of.trace.vector("x", n), of.trace.input("t"))], [of.trace.input("t")])
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
     sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables}
-    sizes["WORK"] = f"(sizeof(double) > 4 ? {needed} : {scratch(plant, ends, 1)})"
+    work = f"(sizeof(double) > 4 ? {needed} : {scratch(plant, ends, 1)})"
     sizes |= {"MANY": MANY, "TAIL": TAIL, "PARTS": PARTS}
     sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
-    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
+    return made(
+        "protect", problem.PROTECT, text, functions, sizes | {"WORK": work}, before=of.called(), work=lambda *of: needed
+    )
 
 
 @cache
