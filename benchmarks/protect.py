@@ -12,6 +12,7 @@ import re
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import harness
 import limited
@@ -80,6 +81,29 @@ int main(void)
 """
 
 
+def rods(x: Any, u: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    """Two of 1 kg and 0.5 m, their angles to the vertical, friction 0.1."""
+    c, s = 0.125 * M.cos(x[0] - x[1]), 0.125 * M.sin(x[0] - x[1])
+    first = u[0] - u[1] - 0.1 * x[2] - s * x[3] ** 2 - 7.3575 * M.sin(x[0])
+    second = u[1] - 0.1 * x[3] + s * x[2] ** 2 - 2.4525 * M.sin(x[1])
+    whole = 1 / 36 - c * c
+    return [x[2], x[3], (first / 12 - c * second) / whole, (second / 3 - c * first) / whole]
+
+
+def reached(x: Any, t: Any, p: Any, M: Any) -> list[Any]:
+    second = 2.4525 * M.sin(x[1]) - 2 * (x[1] - 1.0) - 0.8 * x[3]
+    return [7.3575 * M.sin(x[0]) - 8 * (x[0] - 0.6) - 3 * x[2] + second, second]
+
+
+Rods = declared(  # sent beyond both stops
+    "Rods", "a b va vb", "p q", rods, [(-0.4, 0.4), (-0.2, 0.8), (-0.8, 0.8), (-0.8, 0.8)], (-20.0, 20.0), (-8.0, 8.0),
+    kappa=reached, guess=(0.6, 1.0, 0.0, 0.0),
+    safe=lambda x, t, p, M: [
+        0.5 - x[0], x[0] + 0.5, 0.9 - x[1], x[1] + 0.3, 1.0 - x[2], 1.0 + x[2], 1.0 - x[3], 1.0 + x[3]
+    ],
+)  # fmt: skip
+
+
 def joints(count: int) -> Plant:
     """So many joints with stops and limits of their speeds, sent beyond the stops."""
     states = " ".join(f"{name}{i}" for name in "qw" for i in range(count))
@@ -127,7 +151,7 @@ def measured(plant: Plant, delay: float, dt: float, starts: int) -> list[str]:
 if __name__ == "__main__":
     harness.options(__doc__)
     near = limited.mass(0.95, lambda x, t, p, M: [1 - x.x, 1 + x.x, 1 - x.v, 1 + x.v], (-0.9, 0.9), (-0.9, 0.9))
-    two, seven = limited.cases()["stops"].plant, joints(7)
+    two, seven = npred.plant(Rods), joints(7)
     harness.head("a filter", "calls", "median", "longest, ms", "ratio", "counted, 10^6", "bound, ms", "ratio", "kB")
     harness.row("1 input, 4 limits", *measured(near, 0.0, 0.001, 96))
     harness.row("2 joints, 8 limits", *measured(two, 0.0, 0.001, 96))

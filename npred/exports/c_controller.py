@@ -17,6 +17,7 @@ from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
 from npred.loop.controller import SNAP, Controller
+from npred.loop.safety.filter import scratch
 from npred.networks.fused import Fused
 from npred.plants import setpoint
 from npred.prediction.delays import problem_of
@@ -71,7 +72,7 @@ def sources(
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
-    sizes = _sizes(controller, kernels, variants)
+    sizes = _sizes(controller, kernels, variants, precision)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
@@ -132,7 +133,9 @@ def digest(header: str) -> str:
     return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
 
 
-def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]) -> dict[str, int]:
+def _sizes(
+    controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool], real: str
+) -> dict[str, int]:
     """The sizes of the C structs' arrays, by their names."""
     z, settings, nx = controller.memory.signals, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
@@ -145,6 +148,8 @@ def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapp
         sizes |= {"GUARD": max(settings.guard.size, 1)}
     sizes |= {"PARAMETERS": len(settable(controller)), "NUMBERS": settings.p.size} if variants["SETS"] else {}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
+    if controller.safety and real == "float":
+        needed = max(needed, scratch(controller.plant, controller.safety.ends, 1))
     states = 2 * controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 3 * settings.output_count + 1
     return sizes | {"WORK": needed + states + settings.observer_count + filters}
@@ -252,7 +257,7 @@ def _test(controller: Controller, name: str, real: str) -> str:
     cases = ""
     if controller.safety:
         of_filter = filter_test.cases(controller, PRECISIONS[real])
-        cases = f", TEST_CASES = {len(of_filter.given)}, TEST_GIVEN = {of_filter.given.shape[1]}"
+        cases = f", TEST_CASES = {len(of_filter.arguments)}, TEST_ARGUMENTS = {of_filter.arguments.shape[1]}"
         vectors += [
             constant(f"test_{key}", np.ravel(a), real) for key, a in of_filter._asdict().items() if a.dtype == float
         ]

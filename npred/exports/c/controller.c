@@ -443,7 +443,7 @@ static int test_filter(npred_controller *c, int s)
 {
     enum { N = NPRED_N_STATES, M = NPRED_M_INPUTS };
     static npred_real safety[sizeof the_safety / sizeof *the_safety];
-    const npred_real *margin = test_given + s * TEST_GIVEN, *low = margin + 1, *ends = low + 2 * M;
+    const npred_real *margin = test_arguments + s * TEST_ARGUMENTS, *low = margin + 1, *ends = low + 2 * M;
     const npred_real *moments = ends + NPRED_ENDS * N;
     npred_real got[M + NPRED_PLAN + 5] = {0}, *const results = got + M + NPRED_PLAN;
     int off = 0;
