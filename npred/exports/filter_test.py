@@ -26,8 +26,8 @@ BISECTIONS = 8  # between two calls of different kinds
 BEYOND = 0.05  # of the size of h: how far the rest is out of the limits where they are moved
 NARROW = 0.25  # of the bounds of U, if U usually needs more
 PUSHED = 0.05  # of the box: how far a state is pushed on the way
-ROUNDINGS, WIDER = 8, 4.0  # in which answers are compared, and how much larger than one of a sample they are
-SAFE = 16.0  # how much more than there answers may differ
+ROUNDINGS, WIDER = 24, 64.0  # in which answers are compared, and how much larger than one of a sample they are
+SAFE = 4.0  # how much more than there answers may differ
 SURE = 0.01  # of the usual U: how far rounding may move U
 FLAGS = 5  # the last numbers of an answer: kept, filtered, unkept, promised, withdrawn
 
