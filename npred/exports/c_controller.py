@@ -17,7 +17,6 @@ from npred.kernels.c_text import comment, constant, literal, single
 from npred.kernels.kernel import Kernel, skeleton
 from npred.loop import signals
 from npred.loop.controller import SNAP, Controller
-from npred.loop.safety.filter import scratch
 from npred.networks.fused import Fused
 from npred.plants import setpoint
 from npred.prediction.delays import problem_of
@@ -72,7 +71,7 @@ def sources(
         "PROTECTS": controller.safety is not None,
         "REPEATS": precision == "float" and bool(controller.plant.period),
     }
-    sizes = _sizes(controller, kernels, variants, precision)
+    sizes = _sizes(controller, kernels, variants)
     loop = [*signals.declared(), *map(skeleton, ("actuator.h", "onward.h", "step.h", "gate.h", "controller.h"))]
     texts = [text for kernel in (*kernels.values(), *settle) for text in kernel.texts]
     text = "\n".join(dict.fromkeys([skeleton("base.h"), *texts, *loop]))  # as the loop runs them here, with one lane
@@ -133,9 +132,7 @@ def digest(header: str) -> str:
     return re.findall(r'_DIGEST "([0-9a-f]{64})"', header)[0]
 
 
-def _sizes(
-    controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool], real: str
-) -> dict[str, int]:
+def _sizes(controller: Controller, kernels: Mapping[str, Kernel], variants: Mapping[str, bool]) -> dict[str, int]:
     """The sizes of the C structs' arrays, by their names."""
     z, settings, nx = controller.memory.signals, controller.settings, controller.predictor.nx
     sizes = {"N_STATES": controller.plant.n, "M_INPUTS": controller.plant.m, "NX": nx}
@@ -148,8 +145,6 @@ def _sizes(
         sizes |= {"GUARD": max(settings.guard.size, 1)}
     sizes |= {"PARAMETERS": len(settable(controller)), "NUMBERS": settings.p.size} if variants["SETS"] else {}
     needed = max(1, *(kernel.work(nx, 1, settings.guard) for kernel in kernels.values()))
-    if controller.safety and real == "float":
-        needed = max(needed, scratch(controller.plant, controller.safety.ends, 1))
     states = 2 * controller.plant.n + 3 * controller.plant.m  # scratch of a model that goes on from a sample
     filters = settings.filter_count + 3 * settings.output_count + 1
     return sizes | {"WORK": needed + states + settings.observer_count + filters}

@@ -84,7 +84,7 @@ def _called(controller: Controller, number: type, kind: type, exact: bool = True
     )
     ends = settings.end_count
     p, safety = (np.ascontiguousarray(a, kind).astype(number) for a in (settings.p, settings.safety))
-    shape, work = Shape(1, 1, 0, n, m), np.empty(2 * kernel.work(1, 1, None), number)
+    shape, work = Shape(1, 1, 0, n, m), np.empty(kernel.work(1, 1, None), number)
     parts = np.cumsum([1, m, m, ends * n, ends, m])
 
     def run(arguments: np.ndarray) -> np.ndarray:

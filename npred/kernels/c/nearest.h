@@ -11,8 +11,7 @@
 #define SOLVES (3 * ACTIVE) /* systems of active conditions that are solved at most */
 #define SIDE (VARIABLES + 1) /* of a row: b, then a */
 typedef struct {
-    double lambda[ROWS], L[ACTIVE * (ACTIVE + 1) / 2], b[ACTIVE], y[ACTIVE], last[VARIABLES];
-    float seen[ROWS];
+    double seen[ROWS], lambda[ROWS], L[ACTIVE * ACTIVE], b[ACTIVE], y[ACTIVE], last[VARIABLES];
     int rows, states, active[ACTIVE]; /* conditions, of which the first ones are on states */
 } Conditions;
 
@@ -22,57 +21,57 @@ static inline double soft(const Conditions *q, int i)
 }
 
 /* Element (i, j) of G, in the weights w. */
-static inline double gram(const Conditions *q, const float *rows, const double *w, int i, int j)
+static inline double gram(const Conditions *q, const double *rows, const double *w, int i, int j)
 {
     double sum = i == j ? soft(q, i) : 0.0;
     for (int c = 0; c < VARIABLES; c++) {
-        sum += (double)rows[i * SIDE + 1 + c] * w[c] * w[c] * (double)rows[j * SIDE + 1 + c];
+        sum += rows[i * SIDE + 1 + c] * w[c] * w[c] * rows[j * SIDE + 1 + c];
     }
     return sum;
 }
 
 /* y with G y = b for the active conditions, by Cholesky's factors, whose rows are known up to `known`. */
-static inline void solve_active(Conditions *q, const float *rows, const double *w, int known, int count)
+static inline void solve_active(Conditions *q, const double *rows, const double *w, int known, int count)
 {
     double *const L = q->L, *const y = q->y;
     for (int i = known; i < count; i++) {
         for (int j = 0; j <= i; j++) {
             double sum = gram(q, rows, w, q->active[i], q->active[j]);
             for (int k = 0; k < j; k++) {
-                sum -= L[i * (i + 1) / 2 + k] * L[j * (j + 1) / 2 + k];
+                sum -= L[i * ACTIVE + k] * L[j * ACTIVE + k];
             }
-            L[i * (i + 1) / 2 + j] = i == j ? sqrt(larger(sum, 1e-30)) : sum / L[j * (j + 1) / 2 + j];
+            L[i * ACTIVE + j] = i == j ? sqrt(larger(sum, 1e-30)) : sum / L[j * ACTIVE + j];
         }
     }
     for (int i = 0; i < count; i++) {
         y[i] = q->b[i];
         for (int k = 0; k < i; k++) {
-            y[i] -= L[i * (i + 1) / 2 + k] * y[k];
+            y[i] -= L[i * ACTIVE + k] * y[k];
         }
-        y[i] /= L[i * (i + 1) / 2 + i];
+        y[i] /= L[i * ACTIVE + i];
     }
     for (int i = count - 1; i >= 0; i--) {
         for (int k = i + 1; k < count; k++) {
-            y[i] -= L[k * (k + 1) / 2 + i] * y[k];
+            y[i] -= L[k * ACTIVE + i] * y[k];
         }
-        y[i] /= L[i * (i + 1) / 2 + i];
+        y[i] /= L[i * ACTIVE + i];
     }
 }
 
 /* δ of λ. */
-static inline void primal(const Conditions *q, const float *rows, const double *w, double *delta)
+static inline void primal(const Conditions *q, const double *rows, const double *w, double *delta)
 {
     for (int c = 0; c < VARIABLES; c++) {
         delta[c] = 0.0;
     }
     for (int i = 0; i < q->rows; i++) {
         for (int c = 0; c < VARIABLES && q->lambda[i] > 0.0; c++) {
-            delta[c] += w[c] * w[c] * (double)rows[i * SIDE + 1 + c] * q->lambda[i];
+            delta[c] += w[c] * w[c] * rows[i * SIDE + 1 + c] * q->lambda[i];
         }
     }
 }
 
-static inline void nearest(Conditions *q, const float *rows, const double *w, double *delta)
+static inline void nearest(Conditions *q, const double *rows, const double *w, double *delta)
 {
     double *const lambda = q->lambda, *const b = q->b, *const y = q->y;
     double way = 0.0; /* of δ so far */
@@ -95,14 +94,14 @@ static inline void nearest(Conditions *q, const float *rows, const double *w, do
         }
         way += sqrt(step) * (1.0 + PRECISE(1e-9, 1e-4));
         for (int i = 0; i < q->rows; i++) {
-            if (!((double)q->seen[i] + way > most_missed)) { /* its length is 1: δ has not come so far */
+            if (!(q->seen[i] + way > most_missed)) { /* its length is 1: δ has not come so far */
                 continue;
             }
-            double missed = (double)rows[i * SIDE] - soft(q, i) * lambda[i];
+            double missed = rows[i * SIDE] - soft(q, i) * lambda[i];
             for (int c = 0; c < VARIABLES; c++) {
-                missed -= (double)rows[i * SIDE + 1 + c] * delta[c];
+                missed -= rows[i * SIDE + 1 + c] * delta[c];
             }
-            q->seen[i] = (float)(missed + soft(q, i) * lambda[i] - way);
+            q->seen[i] = missed + soft(q, i) * lambda[i] - way;
             if (!(lambda[i] > 0.0) && missed > most_missed) {
                 most_missed = missed;
                 worst = i;
@@ -116,7 +115,7 @@ static inline void nearest(Conditions *q, const float *rows, const double *w, do
             double share = 1.0;
             int kept = 0;
             for (int i = 0; i < count; i++) {
-                b[i] = (double)rows[active[i] * SIDE];
+                b[i] = rows[active[i] * SIDE];
             }
             solve_active(q, rows, w, known, count);
             known = count;

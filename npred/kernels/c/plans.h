@@ -14,7 +14,7 @@
 #define BOX(s, c) (1e6 * (s)[c]) /* the width of the box; s has what a predicted state may err by */
 enum { MARGIN = N, STEP_LENGTH, LONGEST, LATER, STILL, LASTS, WIDTHS, SIZES = WIDTHS + M, AHEAD = SIZES + K,
        LENGTHS = AHEAD + MANY, DECAYS = LENGTHS + STEPS, RAMPS = DECAYS + STEPS, EDGES = RAMPS + STEPS };
-#define ROOMS K            /* of each limit the smaller one of those at the end and in the middle of a step */
+#define ROOMS (2 * K)      /* of the limits at the end and in the middle of a step */
 #define POINTS (2 * N + 1) /* a point and two beside it in each direction */
 
 #define SQUARE (N > M ? N * N : M * M)
@@ -53,11 +53,10 @@ typedef struct {
     double other[TIMED * K * ABREAST + 1];
     double least[ABREAST], strict[ABREAST]; /* of rollouts without rows the smallest room, and without a reserve */
     int idle[ABREAST]; /* lanes that need not go on: they are as the first of their end, or of no use */
-    float rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
+    double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
-    double ends[N * ENDS], moments[ENDS], now[M]; /* of the loop that is planned for: its ends, and U */
-    double elapsed, lasts, margin;
+    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts, margin; /* of the loop that is planned for: its ends, and U */
     Plan plan;
     Memory memory;
     union {
@@ -102,21 +101,21 @@ static INLINED void PART(_rooms)(const int count, const int side, int begun, int
 {
     const int i = least(step, STEPS - 1);
     double rooms[2];
-    for (int row = 0; row < 2 * ROOMS * ENDS && side; row++) {
+    for (int row = 0; row < ROOMS * ENDS && side; row++) {
         const int half = row / ENDS % 2, first_a = row / ENDS / 2 * count, a = first_a + AT(side, row % ENDS);
-        float *const slot = r->rows + (i * ROOMS + row / ENDS / 2) * SIDE;
+        double *const slot = r->rows + (i * ROOMS + row / ENDS) * SIDE;
         PART(_reserve)(count, side, reserved, s, i, a, r, rooms);
-        if (!(rooms[half] < (double)slot[0])) {
+        if (!(rooms[half] < slot[0])) {
             continue;
         }
-        slot[0] = (float)rooms[half];
+        slot[0] = rooms[half];
         PART(_reserve)(count, side, reserved, s, i, first_a, r, rooms);
         const double unmoved = rooms[half];
         for (int j = 1; j < side; j++) { /* from all ends it moves alike */
             if (j < begun) {
                 PART(_reserve)(count, side, reserved, s, i, first_a + j, r, rooms);
             }
-            slot[j] = (float)(j < begun ? rooms[half] - unmoved : 0.0);
+            slot[j] = j < begun ? rooms[half] - unmoved : 0.0;
         }
     }
     for (int a = 0; a < K * count; a++) {

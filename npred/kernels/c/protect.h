@@ -123,7 +123,7 @@ static inline void PART(_keep)(const double *w, int at, int count, const double 
     memory->kept = r->plan;
     for (int c = 0; c < M; c++) {
         memory->w[c] = w ? w[c] : 0.0;
-        memory->later[c] = r->later[c * count + at];
+        memory->later[c] = w ? r->later[c * count + at] : 0.0;
     }
     for (int i = 0; i < PARAMETERS; i++) {
         memory->p[i] = p[i];

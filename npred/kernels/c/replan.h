@@ -7,10 +7,9 @@
 #define MISSED 1e-5  /* of the size of h */
 
 /* Add a condition a δ >= b on variables with the weights w, as a row of length 1. */
-static inline void condition(Conditions *q, float *rows, const double *w, const double *a, double b)
+static inline void condition(Conditions *q, double *rows, const double *w, const double *a, double b)
 {
-    float *const row = rows + q->rows * SIDE;
-    double length = 0.0;
+    double *const row = rows + q->rows * SIDE, length = 0.0;
     for (int c = 0; c < VARIABLES; c++) {
         length += a[c] * w[c] * a[c] * w[c];
     }
@@ -18,9 +17,9 @@ static inline void condition(Conditions *q, float *rows, const double *w, const 
     if (!(length > 1e-12)) {
         return;
     }
-    row[0] = (float)(b / length);
+    row[0] = b / length;
     for (int c = 0; c < VARIABLES; c++) {
-        row[1 + c] = (float)(a[c] / length);
+        row[1 + c] = a[c] / length;
     }
     q->rows++;
 }
@@ -41,15 +40,14 @@ static inline double PART(_replan)(Rollouts *r, const double *s, const double *l
         w[j] = s[WIDTHS + j % M] / sqrt(PART(_length)(r, j / M));
     }
     for (int row = 0; row < STEPS * ROOMS; row++) {
-        const float *const room = r->rows + row * SIDE;
-        const double left = (double)room[0];
-        double b = -left, reach = 0.0;
+        const double *const room = r->rows + row * SIDE;
+        double b = -room[0], reach = 0.0;
         for (int j = 0; j < VARIABLES; j++) {
-            a[j] = (double)room[j + 1] / r->moved[j];
+            a[j] = room[j + 1] / r->moved[j];
             b += a[j] * v[j];
             reach += fabs(a[j]) * s[WIDTHS + j % M];
         }
-        if (left < reach && left > 0.5 * OVERFLOWN) {
+        if (room[0] < reach && room[0] > 0.5 * OVERFLOWN) {
             condition(&r->shared.q, r->rows, w, a, b);
         }
     }
@@ -115,7 +113,7 @@ static inline double PART(_smallest)(const Rollouts *r)
 {
     double room = INFINITY;
     for (int row = 0; row < STEPS * ROOMS; row++) {
-        room = smaller(room, (double)r->rows[row * SIDE]);
+        room = smaller(room, r->rows[row * SIDE]);
     }
     return room;
 }

@@ -52,15 +52,12 @@ def kernel(plant: Plant, ends: int) -> Kernel:
     x, u, t = of.trace.vector("x", n), of.trace.vector("u", m), of.trace.input("t")
     timed, moves = (programs.depends([*values], [t]) for values in (of.trace.safe(x, t), of.trace.f(x, u, t)))
     sizes = {"N": n, "M": m, "K": K, "ENDS": ends, "STEPS": STEPS, "HELD": HELD, "BLOCKS": BLOCKS}
-    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables}
-    work = f"(sizeof(double) > 4 ? {needed} : {scratch(plant, ends, 1)})"
+    sizes |= {"VARIABLES": variables, "ROWS": rows, "ACTIVE": 2 * variables, "WORK": needed}
     sizes |= {"MANY": MANY, "TURNING": TURNING, "TAIL": TAIL, "PARTS": PARTS}
     sizes |= {"PARAMETERS": len(plant.p_names), "TIMED": int(timed), "TIMES": LATE if timed or not plant.rests else 1}
     sizes |= {"MOVES": int(timed or moves)}
     text = "".join(skeleton(f"{name}.h") for name in ("nearest", "plans", "resting", "replan", "protect"))
-    return made(
-        "protect", problem.PROTECT, text, functions, sizes | {"WORK": work}, before=of.called(), work=lambda *of: needed
-    )
+    return made("protect", problem.PROTECT, text, functions, sizes, before=of.called(), work=lambda *of: needed)
 
 
 @cache
@@ -108,23 +105,21 @@ def formulas(plant: Plant) -> tuple[Formulas, dict[str, str]]:
     return of, functions
 
 
-def scratch(plant: Plant, ends: int, floats: int = 2) -> int:
-    """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h. Each is as long as so
-    many of type float, which conditions have.
-    """
+def scratch(plant: Plant, ends: int) -> int:
+    """The numbers of scratch memory of the kernel: the Rollouts of npred/kernels/c/protect.h."""
     n, m, K, variables = plant.n, plant.m, plant.limits, BLOCKS * plant.m
     rows, side, points = conditions(plant), variables + 1, 2 * n + 1
     lanes = max(side + ends - 1, ends * MANY)
     abreast = lanes * (4 * n + 4 * m + 6 * K + variables + 6)
     ball = points * (3 * n + 2 * m + K) + 3 * n * n + 2 * max(n, m) ** 2 + 2 * m
-    solved = rows + -(-rows // floats) + variables * (2 * variables + 1) + 7 * variables + 2
-    planned = abreast + -(-rows * side // floats) + 7 * variables + BLOCKS + 4
+    solved = 2 * rows + 4 * variables**2 + 7 * variables + 2
+    planned = abreast + rows * side + 7 * variables + BLOCKS + 4
     return planned + max(ball, solved) + ends * (n + 1) + m + remembered(plant)
 
 
 def conditions(plant: Plant) -> int:
-    """Those of a plan: of each limit at the end or in the middle of a step, and on v."""
-    return STEPS * plant.limits + 2 * BLOCKS * plant.m
+    """Those of a plan: of each limit at the end and in the middle of a step, and on v."""
+    return STEPS * 2 * plant.limits + 2 * BLOCKS * plant.m
 
 
 def remembered(plant: Plant) -> int:
