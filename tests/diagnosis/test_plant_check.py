@@ -534,7 +534,7 @@ def test_a_fault_of_the_machine_is_no_verdict_on_a_plant(tmp_path, cache, words,
         [sys.executable, "-m", "npred", "plants", "check", plant, "-q"],
         cwd=tmp_path, env=process_environment(NPRED_CACHE=folder), capture_output=True, text=True, timeout=120,
     )  # fmt: skip
-    assert (done.returncode, done.stdout) == (5, "")
+    assert done.returncode == 5 and not re.search(r" no  ", done.stdout)  # what was found before is printed
     assert words in done.stderr and done.stderr.count("\n") == 1
 
 
