@@ -100,8 +100,9 @@ def learned(folder: Path) -> Controller:
         "f": lambda x, u, t, p, M: [x.rate, M.sin(x.angle) - 0.2 * x.rate + u.torque],
         "observation": lambda x, u, t, p, M: [M.cos(x.angle), M.sin(x.angle), x.rate],
     })  # fmt: skip
-    policies.TORCH["pendulum"] = lambda: policies.mlp([3, 64, 64, 1], policies.nn.Tanh)
-    plant = npred.plant(plant, kappa=str(policies.of_torch("pendulum", folder)))
+    policies.torch.manual_seed(0)
+    actor = policies.mlp([3, 64, 64, 1], policies.nn.Tanh).eval()
+    plant = npred.plant(plant, kappa=str(policies.exported(actor, 3, folder / "pendulum.onnx")))
     return npred.controller(plant, npred.predictor(plant, "rk4", 21), None, 0.02, D_hat=0.2)
 
 
