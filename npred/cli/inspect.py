@@ -14,8 +14,6 @@ from npred.lab.scheduler.plan import STAGES, Step, nodes, usual
 from npred.lab.scheduler.reasons import changes, differences, flat
 from npred.lab.store import Artifact, short
 
-QUESTION = "question".ljust(len("delay estimate"))  # as wide as the longest one
-
 
 def status(
     options: Planned,
@@ -184,10 +182,11 @@ def check(
     name, parameters, law, delays = pipeline.of_plant if pipeline else (plant, {}, "", None)
     asked, plot = plants.resolve(name, parameters, kappa or law, delays), figure and drawable(figure)
     shown: list[diagnosis.Answer] = []
+    head = "question".ljust(max(len(question.name) for question in diagnosis.QUESTIONS)), "answer", "found"
 
     def said(answer: diagnosis.Answer) -> None:
         """Print a row as soon as it is known, the first one below the head."""
-        lines = columns([QUESTION, "answer", "found"], [[*answer[:3]]], options.console.width).splitlines()
+        lines = columns(head, [answer[:3]], options.console.width).splitlines()
         if not options.json:
             options.console.out("\n".join(lines[bool(shown) :]))
         shown.append(answer)

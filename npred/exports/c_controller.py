@@ -241,22 +241,20 @@ def _test(controller: Controller, name: str, real: str) -> str:
     vectors = [constant(f"test_{key}", np.ravel(a), real) for key, a in arrays.items()]
     stamps = {"t": test.t} | ({"taken": test.taken} if controller.settings.reads_commands else {})
     vectors += [constant(f"test_{key}", a) for key, a in stamps.items()]
-    single = _single(controller, real)
-    limit = LIMITS["float" if single else "double"] * max(growth, 1.0)
+    cases = ""
     if controller.safety:
         h, filtered, grown = self_test.kept(controller, test)
         lost = (grown > self_test.GROWTH) | (np.abs(h) > FAR)
-        limit = LIMITS["float" if single else "double"] * max(grown[~lost].max(initial=0.0), 1.0)
+        growth = grown[~lost].max(initial=0.0)
         vectors += [constant("test_filtered", np.where(lost, 2.0, filtered), real), constant("test_kept", h, real)]
         vectors += [f"#define TEST_COARSE {COARSE}", f"#define TEST_H {float(np.nanmedian(np.abs(h))) or 1.0!r}"]
-    cases = ""
-    if controller.safety:
         of_filter = filter_test.cases(controller, PRECISIONS[real])
         cases = f", TEST_CASES = {len(of_filter.arguments)}, TEST_ARGUMENTS = {of_filter.arguments.shape[1]}"
         vectors += [
             constant(f"test_{key}", np.ravel(a), real) for key, a in of_filter._asdict().items() if a.dtype == float
         ]
         vectors += [constant("test_rounds", np.ravel(of_filter.rounds), "int")]
+    limit = LIMITS["float" if _single(controller, real) else "double"] * max(growth, 1.0)
     counts = f"TEST_CALLS = {len(test.does)}, TEST_ROWS = {len(test.X)}, TEST_U_ROWS = {max(len(test.u), 1)}{cases}"
     does = f"static const unsigned char test_does[TEST_CALLS] = {{{', '.join(map(str, test.does))}}};"
     sets = []

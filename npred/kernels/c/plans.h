@@ -56,7 +56,8 @@ typedef struct {
     double rows[ROWS * SIDE]; /* the smallest room of all ends, and what lanes differ by; then conditions made of it */
     double law[BLOCKS * M * 2]; /* the smallest and largest kappa in each block, for the plan that is not moved */
     double moved[VARIABLES], weights[VARIABLES], next[VARIABLES], a[VARIABLES];
-    double ends[N * ENDS], moments[ENDS], now[M], elapsed, lasts, margin; /* of the loop that is planned for: its ends, and U */
+    double ends[N * ENDS], moments[ENDS], now[M]; /* of the loop that is planned for: its ends, and U */
+    double elapsed, lasts, margin;
     Plan plan;
     Memory memory;
     union {

@@ -263,8 +263,9 @@ static inline void PART(_first)(const Rollouts *r, const double *s, const double
     }
 }
 
-/* Go on with the plan that is kept, if it still has room, which may be that of the margin; U is its first one. It is promised if it rests, or was before
- * and the state is the one that it led to: what is beyond the grid is known from then. */
+/* Go on with the plan that is kept, if it still has room, which may be that of the margin; U is its first one. It is
+ * promised if it rests, or was before and the state is the one that it led to: what is beyond the grid is known from
+ * then. */
 static APART int PART(_goes_on)(const double *s, const double *low, const double *high, double *U, Rollouts *r)
 {
     const int turned = r->memory.turn < r->moments[0] + 0.5 * s[STEP_LENGTH];

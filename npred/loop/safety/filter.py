@@ -27,10 +27,8 @@ DRAWN = 256  # states of the box
 SURVEYED, REPEATED = 12, 2  # states that a survey looks at, and how often each is timed
 SHARE = 0.5  # of dt: what a step of the filter may take
 TINY = 1e-6  # a rate that is none
-MANY, AHEAD = (
-    8,
-    (0.0, 0.0, 3.0, -1.0, -2.0, -8.0, -8.0, -8.0),
-)  # brakes, and how far ahead they rest, over the slowest rate
+AHEAD = (0.0, 0.0, 3.0, -1.0, -2.0, -8.0, -8.0, -8.0)  # how far ahead brakes rest, over the slowest rate
+MANY = len(AHEAD)
 TURNING = 2  # the last ones, which brake until they are slow, then hold that or let kappa go on
 FOREVER = 1e9  # horizons, in which no plan ends
 OVER = 100.0  # horizons in which a loop that ever rests no longer depends on time
